@@ -1,0 +1,1 @@
+"""The Blender side: scene extraction, operators, panels, properties, render engine, image layers."""

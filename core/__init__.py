@@ -1,0 +1,1 @@
+"""Light transport on arrays: no Blender in here (import-linter checks it)."""

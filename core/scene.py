@@ -1,0 +1,180 @@
+"""The scene as arrays: what Blender holds, in the form that the light transport reads.
+
+Everything is relative to ``Scene.origin`` (float64, world space), which lies in the middle of the
+geometry, so that float32 coordinates keep their precision however far from the world's origin the
+scene was built.  Units: metres, watts, linear scene-referred RGB; Blender's axes (z up).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+# Ray kinds, as bits of `Geometry.object_visibility`, `Lamps.visibility` and `World.visibility`.
+CAMERA, DIFFUSE, GLOSSY, TRANSMISSION, SHADOW = 1, 2, 4, 8, 16
+ALL_RAYS = CAMERA | DIFFUSE | GLOSSY | TRANSMISSION | SHADOW
+
+# Lamp kinds (`Lamps.kind`).
+POINT, SPOT, SUN, AREA = 0, 1, 2, 3
+# Shapes of an area lamp (`Lamps.shape`).
+RECTANGLE, ELLIPSE = 0, 1
+
+# Flags of a material (`Materials.flags`).
+EMISSIVE, TRANSPARENT, GLOSSY_LOBE, CONSTANT, NORMAL_MAPPED = 1, 2, 4, 8, 16
+
+
+@dataclass
+class Geometry:
+    """World-space triangles of every instance, in one pool.
+
+    vertices: (V, 3) float32, relative to the scene's origin.
+    triangles: (T, 3) int32, into `vertices`; the geometric normal is (v1 - v0) x (v2 - v0).
+    corner_normals: (T, 3, 3) float32, unit shading normals.
+    attributes: (K, T, 3, 4) float32, what materials read at the corners (a UV map, a colour
+        attribute, generated or object coordinates): slot k means what each material says it means.
+    material: (T,) int32 into `Materials`;  object: (T,) int32 into the object lists.
+    object_names: O names;  object_visibility: (O,) uint8 bits of ray kinds.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    corner_normals: np.ndarray
+    attributes: np.ndarray
+    material: np.ndarray
+    object: np.ndarray
+    object_names: list[str]
+    object_visibility: np.ndarray
+
+
+class MaterialTables(NamedTuple):
+    """What the jitted evaluator reads (see core/surfaces/program.py for the instruction set).
+
+    code: (I, 8) int32;  constants: (C, 4) float32;  start: (M,) int32, first instruction.
+    flags: (M,) int32;  constant: (M, SURFACE) float32, the surface of a CONSTANT material.
+    texture_header: (X, 16) int32;  texels_u8: (B,) uint8;  texels_f32: (F,) float32.
+    """
+
+    code: np.ndarray
+    constants: np.ndarray
+    start: np.ndarray
+    flags: np.ndarray
+    constant: np.ndarray
+    texture_header: np.ndarray
+    texels_u8: np.ndarray
+    texels_f32: np.ndarray
+
+
+@dataclass
+class Materials:
+    """M materials, compiled for the jitted evaluator."""
+
+    names: list[str]
+    tables: MaterialTables
+
+
+@dataclass
+class Lamps:
+    """L lamps. Each shines along its own -z axis (points: all around).
+
+    kind: (L,) int32.  position: (L, 3) float32.  axes: (L, 3, 3) float32, rows = unit x, y, z.
+    emission: (L, 3) float32: radiant intensity W/sr of a point or spot lamp (on the axis), irradiance
+        W/m^2 on a plane that faces a sun, radiance W/m^2/sr of an area lamp (on its axis, spread
+        normalisation included).
+    radius: (L,) float32, of a point or spot lamp's sphere (m); 0 is a point.
+    soft_falloff: (L,) uint8, Blender's option of that name.
+    angle: (L,) float32: cone angle of a spot, angular diameter of a sun, spread of an area lamp (rad).
+    blend: (L,) float32, of a spot.  size: (L, 2) float32, full widths of an area lamp (m).
+    shape: (L,) int32.  visibility: (L,) uint8.  cast_shadow: (L,) uint8.
+    names: L names;  groups: L light group names ('' for none).
+    """
+
+    kind: np.ndarray
+    position: np.ndarray
+    axes: np.ndarray
+    emission: np.ndarray
+    radius: np.ndarray
+    soft_falloff: np.ndarray
+    angle: np.ndarray
+    blend: np.ndarray
+    size: np.ndarray
+    shape: np.ndarray
+    visibility: np.ndarray
+    cast_shadow: np.ndarray
+    names: list[str]
+    groups: list[str]
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    @staticmethod
+    def empty() -> Lamps:
+        """No lamps."""
+        f, z = np.float32, np.zeros
+        return Lamps(
+            z(0, np.int32), z((0, 3), f), z((0, 3, 3), f), z((0, 3), f), z(0, f), z(0, np.uint8),
+            z(0, f), z(0, f), z((0, 2), f), z(0, np.int32), z(0, np.uint8), z(0, np.uint8), [], [],
+        )  # fmt: skip
+
+
+@dataclass
+class World:
+    """Light from infinitely far away.
+
+    radiance: (H, W, 3) float32, equirectangular in Blender's layout: row 0 is the top (z = +1); column
+        x has the azimuth atan2(d.y, d.x) = pi - 2 pi (x + .5) / W, as Cycles' direction_to_equirectangular.
+        (1, 1, 3) is a constant world.
+    visibility: bits of ray kinds.
+    """
+
+    radiance: np.ndarray
+    visibility: int = ALL_RAYS
+
+
+@dataclass
+class Camera:
+    """A pinhole or orthographic camera.
+
+    matrix: (4, 4) float64, camera to world minus origin, rigid (no scale); looks along -z, y up.
+    orthographic: else perspective.
+    window: (left, right, bottom, top) of the full frame, at distance 1 (perspective) or in metres
+        (orthographic); sensor fit, shift and pixel aspect are in it.
+    width, height: pixels of the full frame.
+    border: (x0, y0, x1, y1) in pixels, x to the right, y DOWN from the top: the part to be rendered.
+    near, far: clip distances along the view axis (m).
+    """
+
+    matrix: np.ndarray
+    orthographic: bool
+    window: tuple[float, float, float, float]
+    width: int
+    height: int
+    border: tuple[int, int, int, int]
+    near: float
+    far: float
+    name: str = ""
+
+
+@dataclass
+class Skipped:
+    """One thing left out, and why, for `--stats` and `inspect`."""
+
+    stage: str
+    reason: str
+
+
+@dataclass
+class Scene:
+    """All that a render reads."""
+
+    geometry: Geometry
+    materials: Materials
+    lamps: Lamps
+    world: World
+    camera: Camera
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    frame: int = 1
+    view_layer: str = "ViewLayer"
+    warnings: list[str] = field(default_factory=list)
+    skipped: list[Skipped] = field(default_factory=list)

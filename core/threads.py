@@ -1,0 +1,55 @@
+"""Chunks of work over threads, with progress and cancellation between chunks.
+
+Chunk borders depend on the work only, never on the number of threads, and every chunk writes its own
+part of the output: the same seed gives the same bits for any number of threads.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+
+
+class Cancelled(Exception):
+    """The caller's progress function asked to stop."""
+
+
+# Called with the done fraction of the present stage (0..1); returns True to go on, False to cancel.
+Progress = Callable[[float], bool]
+
+
+def thread_count(threads: int = 0) -> int:
+    """`threads`, or the number of cores this process may use where it is 0."""
+    return threads if threads > 0 else len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_chunks(work: Callable[[int, int], object], n: int, chunk: int, threads: int = 0, progress: Progress | None = None) -> list:
+    """Call `work(begin, end)` for consecutive chunks of range(n); results in chunk order.
+
+    Raises:
+        Cancelled: `progress` returned False; chunks not yet begun are dropped.
+    """
+    bounds = [(b, min(b + chunk, n)) for b in range(0, n, max(1, chunk))]
+    results: list = [None] * len(bounds)
+    threads = min(thread_count(threads), max(1, len(bounds)))
+    if threads == 1:
+        for i, (b, e) in enumerate(bounds):
+            results[i] = work(b, e)
+            if progress is not None and not progress((i + 1) / len(bounds)):
+                raise Cancelled
+        return results
+    with ThreadPoolExecutor(threads) as pool:
+        pending = {pool.submit(work, b, e): i for i, (b, e) in enumerate(bounds)}
+        try:
+            while pending:
+                # The timeout lets Ctrl-C and a cancel button through while chunks are long.
+                done, _ = wait(pending, timeout=0.1, return_when=FIRST_COMPLETED)
+                for future in done:
+                    results[pending.pop(future)] = future.result()
+                if progress is not None and not progress(1 - len(pending) / len(bounds)):
+                    raise Cancelled
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+    return results

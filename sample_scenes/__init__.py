@@ -1,0 +1,1 @@
+"""Scenes built by script."""
