@@ -1,0 +1,5 @@
+"""The compiler from Blender's shader node trees to the programs of core/surfaces."""
+
+from .requests import AttributeRequest, CompiledMaterials, MaterialUse
+
+__all__ = ["AttributeRequest", "CompiledMaterials", "MaterialUse"]

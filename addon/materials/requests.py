@@ -1,0 +1,74 @@
+"""What the material compiler and the scene extraction say to each other.
+
+The extraction hands in each material with the objects that use it; the compiler hands back the tables
+and, for every material, the attributes that its program reads.  The extraction fills slot k of
+`Geometry.attributes` for the triangles of a material with that material's k-th request.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core.scene import Materials
+
+if TYPE_CHECKING:
+    import bpy
+
+# Kinds of `AttributeRequest`; the fourth component is 1 unless said otherwise.
+UV = "uv"  # UV map `name`, '' is the one active for render; (u, v, 0)
+COLOR = "color"  # colour attribute `name`, '' is the one active for render; linear RGB and alpha
+ATTRIBUTE = "attribute"  # geometry attribute `name` of any type and domain (a float f is (f, f, f)); colours linear, with alpha
+GENERATED = "generated"  # undeformed texture space, 0..1 across the bounding box, as Texture Coordinate's Generated
+OBJECT = "object"  # position in the space of the object `name`, '' is the object itself
+NORMAL = "normal"  # shading normal in the space of the object
+WORLD_POSITION = "world_position"  # true world position (the scene's origin not taken off)
+WORLD_NORMAL = "world_normal"  # shading normal in world space
+FACE_NORMAL = "face_normal"  # geometric normal in world space
+OBJECT_LOCATION = "object_location"  # world location of the object's origin
+OBJECT_COLOR = "object_color"  # `Object.color`, RGB and alpha
+OBJECT_INDEX = "object_index"  # (i, i, i) of `Object.pass_index`
+OBJECT_RANDOM = "object_random"  # (r, r, r), `random_id` of the instance / 2**32
+OBJECT_ATTRIBUTE = "object_attribute"  # custom property `name` of the object, else of its data, as Attribute node of type Object
+BAKED = "baked"  # UV of the bake `name`: CompiledMaterials.baked_uvs[name][object name], (triangles of the mesh, 3, 2)
+
+
+@dataclass(frozen=True)
+class AttributeRequest:
+    """One attribute a program reads at the corners of a triangle: what it is, and its name if it has one.
+
+    Something absent on an object (no such UV map) is filled with zeros, as Cycles does.
+    """
+
+    kind: str
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class MaterialUse:
+    """A material (None: an empty slot, Blender's default grey) and the evaluated objects that wear it."""
+
+    material: bpy.types.Material | None
+    objects: tuple[bpy.types.Object, ...] = ()
+
+
+@dataclass
+class CompiledMaterials:
+    """Tables of all materials, in the order of the uses.
+
+    requests: for every material the attributes its program reads; its slot k is `requests[m][k]`.
+    warnings: one line for each thing that is approximated, left out or baked.
+    baked_uvs: see BAKED; per bake and object name, in the order of the evaluated mesh's `loop_triangles`.
+    """
+
+    materials: Materials
+    requests: list[list[AttributeRequest]]
+    warnings: list[str] = field(default_factory=list)
+    baked_uvs: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
+
+    @property
+    def slots(self) -> int:
+        """K of `Geometry.attributes`: the most attributes that one material reads."""
+        return max((len(r) for r in self.requests), default=0)
