@@ -87,7 +87,7 @@ def box_mapping(vertices: np.ndarray, corners: np.ndarray, sizes: np.ndarray) ->
     following = starts[face] + (step + 1) % sizes[face]
     points = vertices[corners]
     normals = np.add.reduceat(np.cross(points, points[following]), starts)  # Newell's area vector
-    axis = np.argmax(np.abs(normals) + [1e-12, 0, 2e-12], axis=1)[face]
+    axis = np.argmax(np.abs(normals) + np.array([1e-12, 0, 2e-12]), axis=1)[face]
     return np.stack([np.where(axis == 0, points[:, 1], points[:, 0]), np.where(axis == 2, points[:, 1], points[:, 2])], axis=1)
 
 

@@ -31,7 +31,7 @@ def fingerprint() -> str:
         corners = np.empty(len(data.loops), np.int32)
         data.loops.foreach_get("vertex_index", corners)
         for part in (name.encode(), points, corners, matrix):
-            digest.update(part)
+            digest.update(bytes(part))
     return digest.hexdigest()
 
 
