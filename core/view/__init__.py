@@ -1,0 +1,1 @@
+"""What the camera sees: primary samples, the surfaces of each pixel, and the shading points on them."""

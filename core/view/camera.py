@@ -1,0 +1,78 @@
+"""Blender's camera as kernels read it, and its rays."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..jit import inlined
+from ..sampling.rng import hash_float
+from ..scene import Camera
+
+
+class CameraTables(NamedTuple):
+    """A camera in float32 arrays.
+
+    matrix: (3, 4) float32, camera to scene.  window: (4,) float32, left, right, bottom, top.
+    clip: (2,) float32, near and far.  size: (2,) int32, full frame.  border: (4,) int32, x0, y0, x1, y1.
+    orthographic: bool.
+    """
+
+    matrix: np.ndarray
+    window: np.ndarray
+    clip: np.ndarray
+    size: np.ndarray
+    border: np.ndarray
+    orthographic: bool
+
+
+def camera_tables(camera: Camera) -> CameraTables:
+    """The camera in float32 arrays."""
+    return CameraTables(
+        np.ascontiguousarray(camera.matrix[:3], np.float32),
+        np.asarray(camera.window, np.float32),
+        np.asarray([camera.near, camera.far], np.float32),
+        np.asarray([camera.width, camera.height], np.int32),
+        np.asarray(camera.border, np.int32),
+        bool(camera.orthographic),
+    )
+
+
+@inlined
+def camera_ray(camera, x, y):
+    """The ray through the image position (x, y) in pixels of the full frame, y down.
+
+    Returns origin (on the near plane), unit direction, and the way along the ray for one metre along the view axis.
+    """
+    m = camera.matrix
+    wx = camera.window[0] + (camera.window[1] - camera.window[0]) * (x / np.float32(camera.size[0]))
+    wy = camera.window[3] + (camera.window[2] - camera.window[3]) * (y / np.float32(camera.size[1]))
+    near = camera.clip[0]
+    if camera.orthographic:
+        dx, dy, dz = -m[0, 2], -m[1, 2], -m[2, 2]
+        ox = m[0, 3] + wx * m[0, 0] + wy * m[0, 1] + near * dx
+        oy = m[1, 3] + wx * m[1, 0] + wy * m[1, 1] + near * dy
+        oz = m[2, 3] + wx * m[2, 0] + wy * m[2, 1] + near * dz
+        return ox, oy, oz, dx, dy, dz, np.float32(1.0)
+    lx = wx * m[0, 0] + wy * m[0, 1] - m[0, 2]
+    ly = wx * m[1, 0] + wy * m[1, 1] - m[1, 2]
+    lz = wx * m[2, 0] + wy * m[2, 1] - m[2, 2]
+    slant = np.sqrt(lx * lx + ly * ly + lz * lz)
+    return m[0, 3] + near * lx, m[1, 3] + near * ly, m[2, 3] + near * lz, lx / slant, ly / slant, lz / slant, slant
+
+
+@inlined
+def stratum(sample, side_x, side_y, seed, pixel):
+    """Position of a sample in the pixel's square: jittered strata of a side_x x side_y grid."""
+    jx = hash_float(seed, pixel, sample, 0)
+    jy = hash_float(seed, pixel, sample, 1)
+    x = (np.float32(sample % side_x) + jx) / np.float32(side_x)
+    y = (np.float32(sample // side_x) + jy) / np.float32(side_y)
+    return x, y
+
+
+def strata(samples: int) -> tuple[int, int]:
+    """The most square grid of exactly `samples` strata."""
+    side = next(s for s in range(int(np.sqrt(samples)), 0, -1) if samples % s == 0)
+    return samples // side, side

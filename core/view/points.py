@@ -1,0 +1,52 @@
+"""Shading points: where light is computed, once for each distinct surface in a pixel (or lightmap texel)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class ShadingPoints(NamedTuple):
+    """N points on surfaces, in the order in which rays from them are coherent.
+
+    position: (N, 3) float32.  error: (N,) float32, radius of the rounding error of the position (m).
+    ng, ns: (N, 3) float32, unit geometric and shading normals, on the side of the viewer.
+    pixel: (N,) int32, row-major over the border.  triangle: (N,) int32.
+    albedo: (N, 3) float32, diffuse albedo times the share of the pixel: the pixel's diffuse radiance is the
+        sum of albedo * irradiance / pi over its points.
+    view: (N, 3) float32, unit, from the viewer.
+    f0: (N, 3), f90: (N,), roughness: (N,) float32, Schlick's glossy lobe (f0 and f90 times the share of the pixel).
+    """
+
+    position: np.ndarray
+    error: np.ndarray
+    ng: np.ndarray
+    ns: np.ndarray
+    pixel: np.ndarray
+    triangle: np.ndarray
+    albedo: np.ndarray
+    view: np.ndarray
+    f0: np.ndarray
+    f90: np.ndarray
+    roughness: np.ndarray
+
+    @staticmethod
+    def allocate(n: int) -> ShadingPoints:
+        """Room for n points, not set."""
+        f, e = np.float32, np.empty
+        return ShadingPoints(
+            e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32),
+            e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f), e(n, f),
+        )  # fmt: skip
+
+    def take(self, index) -> ShadingPoints:
+        """The points at `index` (anything that indexes an array)."""
+        return ShadingPoints(*(np.ascontiguousarray(a[index]) for a in self))
+
+    @staticmethod
+    def concatenate(parts: list[ShadingPoints]) -> ShadingPoints:
+        """All points of `parts`, in order."""
+        if not parts:
+            return ShadingPoints.allocate(0)
+        return ShadingPoints(*(np.concatenate(arrays) for arrays in zip(*parts)))

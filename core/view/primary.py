@@ -1,0 +1,311 @@
+"""From camera rays to pixel layers and shading points, one 4x4 pixel tile at a time.
+
+A pixel's value is the mean over its square (design.md, section 3): P stratified primary samples, which
+all count for albedo, emission and coverage, while light is computed once for each distinct surface among
+them, as multisample antialiasing does.  Nothing is kept per sample beyond its tile.
+
+Surfaces with transparency are passed through at random, with exact weights, as Cycles does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..jit import kernel
+from ..lamps.world import world_radiance
+from ..rays.offsets import hit_point
+from ..rays.packet import WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
+from ..rays.trace import ALL, intersect_packet
+from ..sampling.rng import hash_float
+from ..scene import CAMERA, TRANSPARENT, Scene
+from ..surfaces.normals import shading_normal
+from ..surfaces.program import (
+    EMISSION,
+    GLOSSY_F0,
+    GLOSSY_F90,
+    ROUGHNESS,
+    SURFACE,
+    TRANSPARENCY,
+    diffuse_albedo,
+    evaluate,
+)
+from ..threads import Progress, run_chunks
+from .camera import camera_ray, camera_tables, strata, stratum
+from .points import ShadingPoints
+
+TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample index
+MAX_LAYERS = 64  # transparent surfaces that one primary ray passes at most
+WORLD_DEPTH = np.float32(1e10)  # what Blender's depth pass has where nothing is hit
+
+# Two samples of a pixel lie on one surface where their normals agree and neither leaves the other's plane
+# by more than this part of the pixel's width there.
+SAME_NORMAL = np.float32(0.9)
+SAME_PLANE = np.float32(0.5)
+SAME_REACH = np.float32(8.0)
+
+
+@dataclass
+class View:
+    """What the camera sees of a scene, before any light but the surfaces' own.
+
+    albedo, emission: (H, W, 3);  normal, position: (H, W, 3);  depth: (H, W); all float32.
+    points: the shading points, whose `pixel` counts row-major over H x W.  rays: primary rays traced.
+    """
+
+    albedo: np.ndarray
+    emission: np.ndarray
+    normal: np.ndarray
+    position: np.ndarray
+    depth: np.ndarray
+    points: ShadingPoints
+    rays: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return self.depth.shape
+
+
+@kernel
+def _same_surface(px, py, pz, nx, ny, nz, qx, qy, qz, mx, my, mz, width):
+    """Whether two samples (positions p, q; normals n, m) may share their light, `width` m being the pixel's there."""
+    if nx * mx + ny * my + nz * mz < SAME_NORMAL:
+        return False
+    dx, dy, dz = px - qx, py - qy, pz - qz
+    if abs(dx * nx + dy * ny + dz * nz) > SAME_PLANE * width or abs(dx * mx + dy * my + dz * mz) > SAME_PLANE * width:
+        return False
+    reach = SAME_REACH * width
+    return dx * dx + dy * dy + dz * dz < reach * reach
+
+
+@kernel
+def _trace_tile(rays, camera, materials, material, attributes, tx, ty, side_x, side_y, seed, packet, surface, hits, weight, direction, depth):
+    """Trace the samples of one tile. hits: (16, P, 3) float32 bits of triangle, u, v; the number of rays comes back."""
+    x1, y1 = camera.border[2], camera.border[3]
+    origin = np.empty((WIDTH, 3), np.float32)
+    count = 0
+    triangles = hits.view(np.int32)
+    for s in range(side_x * side_y):
+        for lane in range(WIDTH):
+            px, py = tx + lane % TILE, ty + lane // TILE
+            triangles[lane, s, 0] = -1
+            if px >= x1 or py >= y1:
+                disable_ray(packet, lane)
+                continue
+            # Numbered by the full frame: a border shows the very pixels of the whole picture.
+            number = py * camera.size[0] + px
+            jx, jy = stratum(s, side_x, side_y, seed, number)
+            ox, oy, oz, dx, dy, dz, slant = camera_ray(camera, np.float32(px) + jx, np.float32(py) + jy)
+            set_ray(packet, lane, ox, oy, oz, dx, dy, dz, np.float32(0.0), (camera.clip[1] - camera.clip[0]) * slant, CAMERA)
+            origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
+            direction[lane, s, 0], direction[lane, s, 1], direction[lane, s, 2] = dx, dy, dz
+            weight[lane, s, 0] = weight[lane, s, 1] = weight[lane, s, 2] = np.float32(1.0)
+            depth[lane, s] = WORLD_DEPTH
+            count += 1
+        layer = 0
+        active = True
+        while active and layer < MAX_LAYERS:
+            intersect_packet(rays, ALL, packet, WIDTH)
+            active = False
+            for lane in range(WIDTH):
+                triangle = hit_triangle(packet, lane)
+                if triangle < 0 or triangles[lane, s, 0] >= 0:
+                    disable_ray(packet, lane)
+                    continue
+                u, v, t = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
+                dx, dy, dz = direction[lane, s, 0], direction[lane, s, 1], direction[lane, s, 2]
+                axial = -(dx * camera.matrix[0, 2] + dy * camera.matrix[1, 2] + dz * camera.matrix[2, 2])
+                if materials.flags[material[triangle]] & TRANSPARENT:
+                    evaluate(materials, material[triangle], attributes, triangle, u, v, surface)
+                    tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
+                    chance = min(np.float32(1.0), max(tr, tg, tb))
+                    number = (ty + lane // TILE) * camera.size[0] + tx + lane % TILE
+                    if hash_float(seed, number, s, 2 + layer) < chance:
+                        weight[lane, s, 0] *= tr / chance
+                        weight[lane, s, 1] *= tg / chance
+                        weight[lane, s, 2] *= tb / chance
+                        # Past the hit by a few rounding errors of t, so that the surface is not met again.
+                        start = t + np.float32(4e-6) * (t + camera.clip[0])
+                        far = (camera.clip[1] - camera.clip[0]) / axial
+                        set_ray(packet, lane, origin[lane, 0], origin[lane, 1], origin[lane, 2], dx, dy, dz, start, far, CAMERA)
+                        count += 1
+                        active = True
+                        continue
+                triangles[lane, s, 0] = triangle
+                hits[lane, s, 1], hits[lane, s, 2] = u, v
+                depth[lane, s] = camera.clip[0] + t * axial
+                disable_ray(packet, lane)
+            layer += 1
+    return count
+
+
+@kernel
+def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, side_y, seed, points, layers):
+    """Trace, evaluate and group the samples of the tiles begin..end-1.
+
+    geometry: (vertices, triangles, corner_normals, attributes, material, object).  points: room for all that
+    can come.  layers: (H * W, 13) float32: albedo, emission, normal, position, depth.
+    Returns the number of points and of rays.
+    """
+    vertices, triangle_vertices, corner_normals, attributes, material, object_of = geometry
+    x0, y0, x1, y1 = camera.border[0], camera.border[1], camera.border[2], camera.border[3]
+    width = x1 - x0
+    tiles_x = (width + TILE - 1) // TILE
+    samples = side_x * side_y
+    share = np.float32(1.0 / samples)
+    packet = new_packet()
+    surface = np.zeros(SURFACE, np.float32)
+    hits = np.empty((WIDTH, samples, 3), np.float32)
+    triangles = hits.view(np.int32)
+    weight = np.empty((WIDTH, samples, 3), np.float32)
+    direction = np.empty((WIDTH, samples, 3), np.float32)
+    depth = np.empty((WIDTH, samples), np.float32)
+    # Of each sample: position, error, ng, ns.  Of each group: first sample, count, mean position, sums.
+    sample = np.empty((samples, 10), np.float32)
+    group_of = np.empty(samples, np.int32)
+    first = np.empty(samples, np.int32)
+    group = np.empty((samples, 12), np.float32)
+    pixel_width = abs(camera.window[1] - camera.window[0]) / np.float32(camera.size[0])
+    n_points = 0
+    n_rays = 0
+    for tile in range(begin, end):
+        tx = x0 + (tile % tiles_x) * TILE
+        ty = y0 + (tile // tiles_x) * TILE
+        n_rays += _trace_tile(
+            rays, camera, materials, material, attributes, tx, ty, side_x, side_y, seed, packet, surface, hits, weight, direction, depth
+        )
+        for lane in range(WIDTH):
+            px, py = tx + lane % TILE, ty + lane // TILE
+            if px >= x1 or py >= y1:
+                continue
+            pixel = (py - y0) * width + (px - x0)
+            out = layers[pixel]
+            nearest = -1
+            groups = 0
+            for s in range(samples):
+                triangle = triangles[lane, s, 0]
+                dx, dy, dz = direction[lane, s, 0], direction[lane, s, 1], direction[lane, s, 2]
+                wr, wg, wb = weight[lane, s, 0] * share, weight[lane, s, 1] * share, weight[lane, s, 2] * share
+                group_of[s] = -1
+                if triangle < 0:
+                    er, eg, eb = world_radiance(world, dx, dy, dz, CAMERA)
+                    out[3] += wr * er
+                    out[4] += wg * eg
+                    out[5] += wb * eb
+                    continue
+                u, v = hits[lane, s, 1], hits[lane, s, 2]
+                x, y, z, gx, gy, gz, error = hit_point(vertices, triangle_vertices, triangle, u, v)
+                sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
+                if gx * dx + gy * dy + gz * dz > 0:
+                    gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+                evaluate(materials, material[triangle], attributes, triangle, u, v, surface)
+                cosine = abs(sx * dx + sy * dy + sz * dz)
+                ar, ag, ab = diffuse_albedo(surface, cosine)
+                ar, ag, ab = ar * wr, ag * wg, ab * wb
+                out[0] += ar
+                out[1] += ag
+                out[2] += ab
+                out[3] += wr * surface[EMISSION]
+                out[4] += wg * surface[EMISSION + 1]
+                out[5] += wb * surface[EMISSION + 2]
+                sample[s, 0], sample[s, 1], sample[s, 2], sample[s, 3] = x, y, z, error
+                sample[s, 4], sample[s, 5], sample[s, 6] = gx, gy, gz
+                sample[s, 7], sample[s, 8], sample[s, 9] = sx, sy, sz
+                if nearest < 0 or depth[lane, s] < depth[lane, nearest]:
+                    nearest = s
+                footprint = pixel_width if camera.orthographic else pixel_width * depth[lane, s]
+                k = 0
+                while k < groups:
+                    f = first[k]
+                    if object_of[triangles[lane, f, 0]] == object_of[triangle] and _same_surface(
+                        x, y, z, sx, sy, sz, sample[f, 0], sample[f, 1], sample[f, 2], sample[f, 7], sample[f, 8], sample[f, 9], footprint
+                    ):
+                        break
+                    k += 1
+                if k == groups:
+                    groups += 1
+                    first[k] = s
+                    group[k, :] = np.float32(0.0)
+                group_of[s] = k
+                group[k, 0] += np.float32(1.0)
+                group[k, 1] += x
+                group[k, 2] += y
+                group[k, 3] += z
+                group[k, 4] += ar
+                group[k, 5] += ag
+                group[k, 6] += ab
+                group[k, 7] += surface[GLOSSY_F0] * wr
+                group[k, 8] += surface[GLOSSY_F0 + 1] * wg
+                group[k, 9] += surface[GLOSSY_F0 + 2] * wb
+                group[k, 10] += surface[GLOSSY_F90] * (wr + wg + wb) * np.float32(1 / 3)
+                group[k, 11] += surface[ROUGHNESS]
+            if nearest < 0:
+                out[12] = WORLD_DEPTH
+                continue
+            out[6], out[7], out[8] = sample[nearest, 7], sample[nearest, 8], sample[nearest, 9]
+            out[9], out[10], out[11] = sample[nearest, 0], sample[nearest, 1], sample[nearest, 2]
+            out[12] = depth[lane, nearest]
+            for k in range(groups):
+                light = group[k, 4] + group[k, 5] + group[k, 6] + group[k, 7] + group[k, 8] + group[k, 9] + group[k, 10]
+                if not light > 0:  # black: no light would show
+                    continue
+                # The member nearest to the middle stands for all: exact where light varies linearly.
+                inverse = np.float32(1.0) / group[k, 0]
+                mx, my, mz = group[k, 1] * inverse, group[k, 2] * inverse, group[k, 3] * inverse
+                best = -1
+                best_d2 = np.float32(np.inf)
+                for s in range(samples):
+                    if group_of[s] == k:
+                        ex, ey, ez = sample[s, 0] - mx, sample[s, 1] - my, sample[s, 2] - mz
+                        d2 = ex * ex + ey * ey + ez * ez
+                        if best < 0 or d2 < best_d2:
+                            best, best_d2 = s, d2
+                i = n_points
+                n_points += 1
+                for c in range(3):
+                    points.position[i, c] = sample[best, c]
+                    points.ng[i, c] = sample[best, 4 + c]
+                    points.ns[i, c] = sample[best, 7 + c]
+                    points.view[i, c] = direction[lane, best, c]
+                    points.albedo[i, c] = group[k, 4 + c]
+                    points.f0[i, c] = group[k, 7 + c]
+                points.error[i] = sample[best, 3]
+                points.pixel[i] = pixel
+                points.triangle[i] = triangles[lane, best, 0]
+                points.f90[i] = group[k, 10]
+                points.roughness[i] = group[k, 11] * inverse
+    return n_points, n_rays
+
+
+def view(scene: Scene, rays, world, samples: int, seed: int, threads: int = 0, progress: Progress | None = None) -> View:
+    """Trace `samples` primary rays a pixel of the camera's border; `rays` and `world` are the tables of those rooms."""
+    camera = camera_tables(scene.camera)
+    x0, y0, x1, y1 = (int(b) for b in camera.border)
+    height, width = y1 - y0, x1 - x0
+    layers = np.zeros((height * width, 13), np.float32)
+    side_x, side_y = strata(samples)
+    tiles = -(-width // TILE) * -(-height // TILE)
+    chunk = 16
+    g = scene.geometry
+    geometry = (g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object)
+
+    def work(begin, end):
+        room = ShadingPoints.allocate((end - begin) * WIDTH * samples)
+        n, n_rays = _view_tiles(
+            rays, camera, scene.materials.tables, geometry, world, begin, end, side_x, side_y, np.uint32(seed), room, layers
+        )
+        return room.take(slice(0, n)), n_rays
+
+    parts = run_chunks(work, tiles, chunk, threads, progress)
+    shaped = layers.reshape(height, width, 13)
+    return View(
+        np.ascontiguousarray(shaped[..., 0:3]),
+        np.ascontiguousarray(shaped[..., 3:6]),
+        np.ascontiguousarray(shaped[..., 6:9]),
+        np.ascontiguousarray(shaped[..., 9:12]),
+        np.ascontiguousarray(shaped[..., 12]),
+        ShadingPoints.concatenate([part for part, _ in parts]),
+        sum(n for _, n in parts),
+    )
