@@ -1,0 +1,54 @@
+"""Which triangles a ray can meet: the valid ones, apart by transparency and by visibility."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Group(NamedTuple):
+    """Triangles begin..end-1 of `Partition.triangle`, all of one visibility."""
+
+    begin: int
+    end: int
+    visibility: int
+
+
+class Partition(NamedTuple):
+    """The triangles that rays can meet, grouped.
+
+    triangle: (P,) int32, indices into the caller's triangles, ascending within a group.
+    opaque, cutout: the groups of each set, one per distinct visibility.
+    """
+
+    triangle: np.ndarray
+    opaque: list[Group]
+    cutout: list[Group]
+
+
+def valid_triangles(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(T,) bool: finite corners and an area that is not zero."""
+    finite = np.isfinite(vertices).all(axis=1)
+    usable = finite[triangles].all(axis=1)
+    with np.errstate(invalid="ignore", over="ignore"):
+        a = vertices[triangles[:, 0]].astype(np.float64)
+        e1 = vertices[triangles[:, 1]] - a
+        e2 = vertices[triangles[:, 2]] - a
+        for i, j in ((0, 1), (1, 2), (2, 0)):
+            e = e1[:, i] * e2[:, j] != e1[:, j] * e2[:, i]
+            area = e if (i, j) == (0, 1) else area | e
+    return usable & area
+
+
+def partition(vertices: np.ndarray, triangles: np.ndarray, visibility: np.ndarray, transparent: np.ndarray) -> Partition:
+    """Group the triangles that can be hit at all (see `RayScene` for the arguments)."""
+    index = np.flatnonzero(valid_triangles(vertices, triangles) & (visibility != 0)).astype(np.int32)
+    key = transparent[index].astype(np.int32) * 256 + visibility[index]
+    order = np.argsort(key, kind="stable")
+    index, key = index[order], key[order]
+    border = np.concatenate(([0], np.flatnonzero(np.diff(key)) + 1, [len(key)])) if len(key) else np.zeros(1, np.int64)
+    sets: tuple[list[Group], list[Group]] = ([], [])
+    for begin, end in zip(border[:-1].tolist(), border[1:].tolist()):
+        sets[key[begin] // 256].append(Group(begin, end, int(key[begin] % 256)))
+    return Partition(np.ascontiguousarray(index), *sets)
