@@ -1,0 +1,274 @@
+"""The command line's grammar: every command, its options, and what can be said of them before anything is loaded.
+
+Nothing heavy is imported here, so that `--help` and a wrong argument answer at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from .. import __version__, sample_scenes
+from ..core.settings import RenderSettings
+from .outputs import OutputError, check_file, check_folder
+
+SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
+LAST_FRAME = 1_048_574  # Blender's MAXFRAME
+LARGEST_SIDE = 65_536  # pixels, Blender's own limit
+
+
+@dataclass(frozen=True)
+class MethodOption:
+    """An option that belongs to one method: its flag, the field of `RenderSettings`, and argparse's own keywords."""
+
+    flag: str
+    field: str
+    keywords: dict
+
+
+def count(text: str) -> int:
+    """A whole number from 1 up."""
+    return _whole(text, 1)
+
+
+def size_or_none(text: str) -> int:
+    """A whole number from 0 up."""
+    return _whole(text, 0)
+
+
+def _whole(text: str, least: int) -> int:
+    try:
+        number = int(text)
+    except ValueError:
+        number = least - 1
+    if not least <= number < 2**31:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {least} up")
+    return number
+
+
+def positive(text: str) -> float:
+    """A finite number above 0."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not 0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+    return number
+
+
+def resolution(text: str) -> tuple[int, int]:
+    """WIDTHxHEIGHT in pixels."""
+    match = re.fullmatch(r"(\d+)[xX](\d+)", text)
+    sides = tuple(int(side) for side in match.groups()) if match else (0,)
+    if not all(1 <= side <= LARGEST_SIDE for side in sides):
+        raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT with sides of 1 to {LARGEST_SIDE} pixels, as in 1280x720")
+    return sides
+
+
+def frame(text: str) -> int:
+    """A frame number that Blender can hold."""
+    if not re.fullmatch(r"-?\d+", text) or abs(int(text)) > LAST_FRAME:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a frame number from {-LAST_FRAME} to {LAST_FRAME}")
+    return int(text)
+
+
+def frame_range(text: str) -> range:
+    """FIRST-LAST, both rendered."""
+    match = re.fullmatch(r"(-?\d+)-(-?\d+)", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"{text!r} is not FIRST-LAST, as in 1-24")
+    first, last = (frame(part) for part in match.groups())
+    if last < first:
+        raise argparse.ArgumentTypeError(f"{text!r} ends before it begins; write {last}-{first}")
+    return range(first, last + 1)
+
+
+def scene_source(text: str) -> str:
+    """A scene file that exists, or the name of a sample scene."""
+    if text in sample_scenes.NAMES:
+        return text
+    path = Path(text)
+    if path.suffix.lower() not in SCENE_SUFFIXES:
+        kinds = ", ".join(SCENE_SUFFIXES)
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is neither a scene file ({kinds}) nor a sample scene ({', '.join(sample_scenes.NAMES)})"
+        )
+    if not path.is_file():
+        raise argparse.ArgumentTypeError(f"there is no file {text!r}; check the path")
+    return text
+
+
+def image_file(text: str) -> Path:
+    """A multilayer EXR file that exists."""
+    if not Path(text).is_file():
+        raise argparse.ArgumentTypeError(f"there is no file {text!r}; check the path")
+    return Path(text)
+
+
+def output_file(*suffixes: str):
+    """The type of an argument that names a file to be written, of one of `suffixes`."""
+
+    def parse(text: str) -> Path:
+        if Path(text).suffix.lower() not in suffixes:
+            raise argparse.ArgumentTypeError(f"{text!r} does not end in {' or '.join(suffixes)}")
+        return _checked(check_file, text)
+
+    return parse
+
+
+def output_folder(text: str) -> Path:
+    """A folder to be written into, made where it is missing."""
+    return _checked(check_folder, text)
+
+
+def _checked(check, text: str) -> Path:
+    try:
+        return check(Path(text))
+    except OutputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+# The methods that exist, with the options that only they read.
+METHOD_OPTIONS: dict[str, tuple[MethodOption, ...]] = {
+    "instant-radiosity": (
+        MethodOption(
+            "--visibility",
+            "visibility",
+            {"choices": ("rays", "shadow-maps", "none"), "help": "how a VPL is tested for sight of a point (default: rays)"},
+        ),
+        MethodOption(
+            "--no-compensation",
+            "compensation",
+            {"action": "store_const", "const": False, "help": "do not give back the light that the clamped geometry term loses"},
+        ),
+    ),
+}
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line that ends in the way out."""
+
+    def error(self, message: str):
+        """Print `lumigate: error: ...` and exit with status 2."""
+        self.exit(2, f"lumigate: error: {message} (see {self.prog} --help)\n")
+
+
+def build_parser(*, scene_is_open: bool = False) -> Parser:
+    """The parser of all commands; with `scene_is_open`, SCENE may be left out and means Blender's open file."""
+    parser = Parser(prog="lumigate", description="Indirect light of Blender scenes by virtual point lights, written into image layers.")
+    parser.add_argument("--version", action="version", version=f"lumigate {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+
+    demo = commands.add_parser("demo", help="the built-in atrium: layers, pictures and figures")
+    demo.add_argument("-o", "--output", type=output_folder, metavar="DIR", help="where the files go (default: demo)")
+
+    render = commands.add_parser("render", help="a scene's indirect light into a multilayer EXR file")
+    _add_scene(render, scene_is_open)
+    _add_output(render, "OUT.exr")
+    _add_view(render)
+    _add_render_settings(render)
+    render.add_argument("--stats", type=output_file(".json"), metavar="FILE.json", help="write times, ray counts and warnings")
+
+    reference = commands.add_parser("reference", help="the same layers by Cycles, to compare with")
+    _add_scene(reference, scene_is_open)
+    _add_output(reference, "REF.exr")
+    _add_view(reference)
+    reference.add_argument("--spp", type=count, default=1024, metavar="N", help="samples a pixel (default: %(default)s)")
+    reference.add_argument(
+        "--bounces", type=size_or_none, default=RenderSettings.bounces, metavar="B", help="diffuse bounces (default: %(default)s)"
+    )
+    reference.add_argument("--seed", type=size_or_none, default=0, metavar="S", help="random seed (default: %(default)s)")
+    reference.add_argument("--denoise", action="store_true", help="denoise the layers with OpenImageDenoise")
+
+    compare = commands.add_parser("compare", help="error of one picture against another")
+    compare.add_argument("test", type=image_file, metavar="TEST.exr", help="the picture to judge")
+    compare.add_argument("reference", type=image_file, metavar="REF.exr", help="the picture held to be true")
+    compare.add_argument("--layer", default="Indirect", help="the layer to compare (default: %(default)s)")
+    compare.add_argument("--json", type=output_file(".json"), metavar="FILE", help="write the figures")
+    compare.add_argument("--error-map", type=output_file(".png"), metavar="PNG", help="write where the error is")
+
+    inspect = commands.add_parser("inspect", help="what a scene holds, what will be skipped and why, before any ray is traced")
+    _add_scene(inspect, scene_is_open)
+    _add_view(inspect)
+    inspect.add_argument("--json", type=output_file(".json"), metavar="FILE", help="write the same as JSON")
+
+    bench = commands.add_parser("bench", help="speed of the parts, measured on this machine")
+    bench.add_argument("suite", nargs="?", default="kernels", choices=("kernels",), metavar="SUITE", help="kernels (default)")
+    bench.add_argument("-o", "--output", type=output_folder, required=True, metavar="DIR", help="where results.json goes")
+    bench.add_argument("--threads", type=size_or_none, default=0, metavar="T", help="threads (default: all cores)")
+    return parser
+
+
+def _add_scene(parser: Parser, scene_is_open: bool) -> None:
+    parser.add_argument(
+        "scene",
+        type=scene_source,
+        metavar="SCENE",
+        nargs="?" if scene_is_open else None,
+        help=f"a {', '.join(SCENE_SUFFIXES)} file, or a sample scene: {', '.join(sample_scenes.NAMES)}",
+    )
+
+
+def _add_output(parser: Parser, name: str) -> None:
+    parser.add_argument("-o", "--output", type=output_file(".exr"), required=True, metavar=name, help="the multilayer EXR file to write")
+
+
+def _add_view(parser: Parser) -> None:
+    parser.add_argument("--size", type=resolution, metavar="WxH", help="pixels of the full frame (default: the scene's)")
+    parser.add_argument("--camera", metavar="NAME", help="the camera's object (default: the scene's)")
+    frames = parser.add_mutually_exclusive_group()
+    frames.add_argument("--frame", type=frame, metavar="F", help="the frame (default: the scene's current one)")
+    if parser.prog.endswith("render"):
+        frames.add_argument("--frames", type=frame_range, metavar="A-B", help="these frames; OUT.exr becomes OUT0001.exr and so on")
+
+
+def _add_render_settings(parser: Parser) -> None:
+    """The fields of `RenderSettings`; what the user does not give stays out of the namespace, and its default with the class."""
+    add = parser.add_argument
+    default = RenderSettings()
+    keep = {"default": argparse.SUPPRESS}
+    add("--method", choices=("auto", *METHOD_OPTIONS), **keep, help=f"how the light is gathered (default: {default.method})")
+    add("--vpls", type=count, metavar="N", **keep, help=f"virtual point lights (default: {default.vpls})")
+    add("--bounces", type=size_or_none, metavar="B", **keep, help=f"diffuse bounces of the indirect light (default: {default.bounces})")
+    add("--seed", type=size_or_none, metavar="S", **keep, help=f"random seed (default: {default.seed})")
+    add("--threads", type=size_or_none, metavar="T", **keep, help="threads (default: all cores)")
+    add("--pixel-samples", type=count, metavar="P", **keep, help=f"primary samples a pixel (default: {default.pixel_samples})")
+    add("--denoise", action=argparse.BooleanOptionalAction, **keep, help="denoise the indirect light (default: as the method needs)")
+    budget = parser.add_mutually_exclusive_group()
+    budget.add_argument("--time-budget", type=positive, metavar="SECONDS", **keep, help="use as many samples as fit in this time")
+    budget.add_argument("--target-error", type=positive, metavar="E", **keep, help="stop at this relMSE")
+    add("--debug-layers", action="store_true", **keep, help="also write clusters, gates and the light of single VPLs")
+    for method, options in METHOD_OPTIONS.items():
+        group = parser.add_argument_group(f"--method {method}")
+        for option in options:
+            group.add_argument(option.flag, dest=option.field, **keep, **option.keywords)
+
+
+def _render_settings(parser: Parser, given: dict) -> RenderSettings:
+    """The request that the parsed options make; an option of a method that was not asked for is an error."""
+    settings = RenderSettings(**{name: given[name] for name in RenderSettings.__dataclass_fields__ if name in given})
+    for method, options in METHOD_OPTIONS.items():
+        for option in options:
+            if option.field in given and settings.method not in ("auto", method):
+                parser.error(f"{option.flag} belongs to --method {method}, not to {settings.method}")
+    return settings
+
+
+def parse(argv: list[str] | None = None, *, in_blender: bool = False) -> argparse.Namespace:
+    """Parse the command line into `command`, that command's arguments and, for `render`, its `settings`.
+
+    argv: None takes the process's own.  in_blender: Blender runs this, so that its own arguments come first, up to `--`,
+    and SCENE may be left out.  Raises SystemExit, with the line printed, where the arguments are wrong.
+    """
+    if argv is None:
+        own = sys.argv.index("--") if in_blender and "--" in sys.argv else 0
+        argv = sys.argv[own + 1 :]
+    parser = build_parser(scene_is_open=in_blender)
+    arguments = parser.parse_args(argv)
+    if arguments.command == "render":
+        arguments.settings = _render_settings(parser, vars(arguments))
+    return arguments

@@ -1,0 +1,69 @@
+"""The command line: the console script `lumigate`, and the script of `blender -b FILE --python headless/cli.py -- ARGS`.
+
+Exit status: 0 done; 2 bad usage or a scene that cannot be rendered; 130 cancelled.
+"""
+
+import importlib
+import importlib.util
+import signal
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+
+def _load_package() -> None:
+    """Make the folder above this script importable as `lumigate`, whatever the folder is called."""
+    root = Path(__file__).resolve().parents[1]
+    spec = importlib.util.spec_from_file_location("lumigate", root / "__init__.py", submodule_search_locations=[str(root)])
+    package = importlib.util.module_from_spec(spec)
+    sys.modules["lumigate"] = package
+    spec.loader.exec_module(package)
+
+
+def main(argv: list[str] | None = None, *, in_blender: bool = False) -> int:
+    """Run one command and return its exit status.
+
+    argv: the arguments (default: the process's own).  in_blender: Blender runs this as its script, so that its own
+    arguments come first, up to `--`, and its open file is the scene where none is named.
+    """
+    from .arguments import parse
+
+    try:
+        arguments = parse(argv, in_blender=in_blender)
+    except SystemExit as stop:  # argparse has printed its line
+        return int(stop.code or 0)
+    return _run(arguments)
+
+
+def _run(arguments) -> int:
+    from ..core.errors import SceneError
+    from ..core.threads import Cancelled
+    from .console import one_line, open_terminal
+
+    with _terminate_as_interrupt(), open_terminal() as terminal:
+        try:
+            importlib.import_module(f".commands.{arguments.command}", __package__).run(arguments, terminal)
+        except SceneError as error:
+            terminal.err.print(f"lumigate: error: {one_line(error)}", markup=False)
+            return 2
+        except (Cancelled, KeyboardInterrupt):
+            terminal.err.print("lumigate: cancelled", markup=False)
+            return 130
+    return 0
+
+
+@contextmanager
+def _terminate_as_interrupt():
+    """SIGTERM cancels as Ctrl-C does, so that a render farm's kill leaves no partial file either."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+if __name__ == "__main__":
+    _load_package()
+    from lumigate.headless.cli import main as package_main
+
+    sys.exit(package_main(in_blender="bpy" in sys.modules))

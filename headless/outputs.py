@@ -1,0 +1,41 @@
+"""Output paths, refused before the work begins where nothing could be written."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from ..core.errors import SceneError
+
+
+class OutputError(SceneError):
+    """A path that cannot be written; the message says why and what to do."""
+
+
+def check_file(path: Path) -> Path:
+    """Return `path` if a file can be written there; OutputError if not."""
+    if path.is_dir():
+        raise OutputError(f"{str(path)!r} is a folder; name a file in it")
+    folder = path.parent
+    if not folder.is_dir():
+        raise OutputError(f"there is no folder {str(folder)!r} to write {path.name!r} into; make it first")
+    _check_writable(folder)
+    return path
+
+
+def check_folder(path: Path) -> Path:
+    """Return `path` if it is a folder that can be written into, or can be made; OutputError if not."""
+    nearest = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    if not nearest.is_dir():
+        raise OutputError(f"{str(nearest)!r} is a file, not a folder; choose another folder")
+    _check_writable(nearest)
+    return path
+
+
+def _check_writable(folder: Path) -> None:
+    # Only the attempt tells: root passes every permission check, and a mount may be read-only.
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OutputError(f"cannot write into {str(folder)!r} ({error.strerror}); choose another folder") from error

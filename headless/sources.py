@@ -1,0 +1,32 @@
+"""SCENE of the command line, made Blender's open scene, and Blender's scene made arrays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from .. import sample_scenes
+from ..addon.extract import extract_scene
+from ..addon.files import open_scene
+from ..core.scene import Scene
+from .console import quiet
+
+
+def open_source(source: str | None, *, detail: str = "full") -> bpy.types.Scene:
+    """Open a scene file or build a sample scene, and return it; None is the scene that is open now.
+
+    Raises SceneError where the file cannot be read.
+    """
+    if source is None:
+        return bpy.context.scene
+    with quiet():
+        if source in sample_scenes.NAMES:
+            return sample_scenes.build(source, detail=detail)
+        return open_scene(Path(source))
+
+
+def extract(scene: bpy.types.Scene, *, camera: str | None, size: tuple[int, int] | None, frame: int | None) -> Scene:
+    """The arrays of `scene` as its camera sees it; raises SceneError where it cannot be rendered."""
+    with quiet():
+        return extract_scene(scene, camera=camera, size=size, frame=frame)
