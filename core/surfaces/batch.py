@@ -1,0 +1,42 @@
+"""Surfaces of many hits at once, over threads."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import MaterialTables
+from ..threads import Progress, run_chunks
+from .layout import SURFACE
+from .program import MEAN_VIEW, evaluate_range
+
+_CHUNK = 4096
+
+
+def evaluate_batch(
+    tables: MaterialTables,
+    materials: np.ndarray,
+    attributes: np.ndarray,
+    triangle: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+    cosine: np.ndarray | float = MEAN_VIEW,
+    threads: int = 0,
+    progress: Progress | None = None,
+) -> np.ndarray:
+    """(N, SURFACE) float32 surfaces of N hits.
+
+    materials: (T,) int32, material of each triangle.  attributes: (K, T, 3, 4) float32.
+    triangle: (N,) int32, below 0 for no hit (zeros).  u, v: (N,) float32 barycentric.
+    cosine: (N,) or one number, see `program.evaluate`.
+    """
+    n = len(triangle)
+    surfaces = np.empty((n, SURFACE), np.float32)
+    triangle = np.ascontiguousarray(triangle, np.int32)
+    u, v = np.ascontiguousarray(u, np.float32), np.ascontiguousarray(v, np.float32)
+    cosine = np.ascontiguousarray(np.broadcast_to(np.asarray(cosine, np.float32), n))
+
+    def work(begin: int, end: int) -> None:
+        evaluate_range(tables, materials, attributes, triangle, u, v, cosine, begin, end, surfaces)
+
+    run_chunks(work, n, _CHUNK, threads, progress)
+    return surfaces

@@ -1,0 +1,206 @@
+"""Closures: each adds its share to a surface, or takes a layer's share from the weight of what lies below.
+
+They follow Cycles' Principled BSDF (kernel/svm/closure.h, kernel/closure/bsdf_microfacet.h, Blender 4.5
+and 5.2).  `weight` (wr, wg, wb) is what the layers above and the mix shaders leave for the closure.
+Sums first, means last: while a program runs, the LAYER_* numbers and ROUGHNESS hold sums weighted by
+what they describe; `finish` divides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..jit import inlined
+from . import ggx
+from .layout import (
+    DIFFUSE,
+    EMISSION,
+    GLOSSY_F0,
+    GLOSSY_F90,
+    LAYER_F0,
+    LAYER_MULTIPLE,
+    LAYER_ROUGHNESS,
+    LAYER_Z,
+    LAYERED,
+    ROUGHNESS,
+    TRANSPARENCY,
+)
+
+F = np.float32
+
+
+@inlined
+def add(surface, at, wr, wg, wb, r, g, b):
+    """Adds weight times colour to the three floats at `at`; colours are clamped below at 0."""
+    surface[at] += wr * max(r, F(0))
+    surface[at + 1] += wg * max(g, F(0))
+    surface[at + 2] += wb * max(b, F(0))
+
+
+@inlined
+def _add_glossy(surface, wr, wg, wb, r0, g0, b0, r90, g90, b90, roughness):
+    """Adds a glossy lobe by its albedos at normal and grazing incidence."""
+    surface[GLOSSY_F0] += wr * r0
+    surface[GLOSSY_F0 + 1] += wg * g0
+    surface[GLOSSY_F0 + 2] += wb * b0
+    surface[GLOSSY_F90] += wr * r90
+    surface[GLOSSY_F90 + 1] += wg * g90
+    surface[GLOSSY_F90 + 2] += wb * b90
+    surface[ROUGHNESS] += roughness * (wr * (r0 + r90) + wg * (g0 + g90) + wb * (b0 + b90))
+
+
+@inlined
+def f0_of_ior(ior):
+    """Reflectance at normal incidence."""
+    x = (ior - F(1)) / (ior + F(1))
+    return x * x
+
+
+@inlined
+def _darkening(mean_fresnel, roughness, multiple):
+    """Mean factor by which scattering more than once darkens a lobe; 1 where it is not modelled."""
+    if not multiple:
+        return F(1)
+    e = ggx.single_scattering_mean(roughness)
+    return e + ggx.multiple_scattering(mean_fresnel, roughness) * (F(1) - e)
+
+
+@inlined
+def dielectric_over_diffuse(surface, r, g, b, roughness, ior, level, multiple, tr, tg, tb, wr, wg, wb):
+    """Principled BSDF below coat, metal and transmission: a dielectric lobe over a diffuse base.
+
+    level is Specular IOR Level, (tr, tg, tb) Specular Tint, multiple whether the lobe is Multiscatter GGX.
+    """
+    r, g, b = wr * max(r, F(0)), wg * max(g, F(0)), wb * max(b, F(0))
+    surface[DIFFUSE] += r
+    surface[DIFFUSE + 1] += g
+    surface[DIFFUSE + 2] += b
+    ior = max(ior, F(1e-5))
+    roughness = min(max(roughness, F(0)), F(1))
+    f0 = f0_of_ior(ior)
+    level = max(level, F(0))
+    eta = ior
+    if level != F(0.5):
+        f0 *= F(2) * level
+        root = np.sqrt(min(f0, F(0.99)))
+        eta = (F(1) + root) / (F(1) - root)
+        if ior < F(1):
+            eta = F(1) / eta
+    if eta == F(1):
+        return
+    f0r = min(f0 * max(tr, F(0)), F(1))
+    f0g = min(f0 * max(tg, F(0)), F(1))
+    f0b = min(f0 * max(tb, F(0)), F(1))
+    highest = max(f0r, max(f0g, f0b))
+    real_f0 = f0_of_ior(eta)
+    rise = min(max((ggx.dielectric_mean_fresnel(eta) - real_f0) / (F(1) - real_f0), F(0)), F(1))
+    mean_fresnel = highest + rise * (F(1) - highest)
+    z = np.sqrt(np.sqrt(real_f0))
+    fms = ggx.multiple_scattering(mean_fresnel, roughness) if multiple else F(1)
+    covered = r + g + b
+    surface[LAYERED] += r
+    surface[LAYERED + 1] += g
+    surface[LAYERED + 2] += b
+    surface[LAYER_F0] += covered * highest
+    surface[LAYER_Z] += covered * z
+    surface[LAYER_ROUGHNESS] += covered * roughness
+    surface[LAYER_MULTIPLE] += covered * fms
+    d = _darkening(mean_fresnel, roughness, multiple)
+    _add_glossy(surface, wr * d, wg * d, wb * d, f0r, f0g, f0b, F(1), F(1), F(1), roughness)
+
+
+@inlined
+def metal(surface, r, g, b, roughness, multiple, tr, tg, tb, wr, wg, wb):
+    """Conductor with reflectance (r, g, b) at normal incidence and the tint (tr, tg, tb) at 82 degrees (F82)."""
+    roughness = min(max(roughness, F(0)), F(1))
+    r, g, b = min(max(r, F(0)), F(1)), min(max(g, F(0)), F(1)), min(max(b, F(0)), F(1))
+    if multiple:
+        wr *= _darkening(_f82_mean(r, tr), roughness, True)
+        wg *= _darkening(_f82_mean(g, tg), roughness, True)
+        wb *= _darkening(_f82_mean(b, tb), roughness, True)
+    _add_glossy(surface, wr, wg, wb, r, g, b, F(1), F(1), F(1), roughness)
+
+
+@inlined
+def _f82_mean(f0, tint):
+    """Cosine-weighted mean of the F82 Fresnel term."""
+    f6 = F((6 / 7) ** 6)
+    schlick = f0 + (F(1) - f0) * F((6 / 7) ** 5)
+    edge = schlick * F(7) / f6 * (F(1) - min(max(tint, F(0)), F(1)))
+    return min(max(f0 + (F(1) - f0) * F(1 / 21) - edge * F(1 / 126), F(0)), F(1))
+
+
+@inlined
+def glossy(surface, r, g, b, roughness, multiple, wr, wg, wb):
+    """Glossy BSDF: the same reflectance at every angle."""
+    roughness = min(max(roughness, F(0)), F(1))
+    r, g, b = max(r, F(0)), max(g, F(0)), max(b, F(0))
+    if multiple:
+        r *= _darkening(min(r, F(1)), roughness, True)
+        g *= _darkening(min(g, F(1)), roughness, True)
+        b *= _darkening(min(b, F(1)), roughness, True)
+    _add_glossy(surface, wr, wg, wb, r, g, b, r, g, b, roughness)
+
+
+@inlined
+def glass(surface, r, g, b, roughness, ior, tr, tg, tb, wr, wg, wb):
+    """Glass: reflects its mean Fresnel term times (tr, tg, tb), lets the rest times (r, g, b) straight through."""
+    roughness = min(max(roughness, F(0)), F(1))
+    ior = max(ior, F(1e-5))
+    f0 = f0_of_ior(ior)
+    z = np.sqrt(np.sqrt(f0))
+    mean = ggx.layer_albedo_mean(f0, z, roughness, F(1)) if ior != F(1) else F(0)
+    through = F(1) - mean
+    add(surface, TRANSPARENCY, wr * through, wg * through, wb * through, r, g, b)
+    tr, tg, tb = max(tr, F(0)), max(tg, F(0)), max(tb, F(0))
+    if mean > F(0):
+        _add_glossy(surface, wr, wg, wb, f0 * tr, f0 * tg, f0 * tb, tr, tg, tb, roughness)
+
+
+@inlined
+def coat(surface, strength, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
+    """Principled BSDF's coat: adds its lobe and returns the weight of what lies below.
+
+    cosine: of the view, below 0 from behind; above 1 stands for the mean over the hemisphere.
+    """
+    strength = max(strength, F(0))
+    roughness = min(max(roughness, F(0)), F(1))
+    ior = max(ior, F(1))
+    f0 = f0_of_ior(ior)
+    z = np.sqrt(np.sqrt(f0))
+    if abs(cosine) > F(1):
+        albedo = ggx.layer_albedo_mean(f0, z, roughness, F(1))
+        cos2 = F(0.5)
+    else:
+        albedo = f0 + (F(1) - f0) * ggx.fresnel_rise(z, abs(cosine), roughness)
+        cos2 = cosine * cosine
+    if ior > F(1):
+        _add_glossy(surface, strength * wr, strength * wg, strength * wb, f0, f0, f0, F(1), F(1), F(1), roughness)
+    else:
+        albedo = F(0)
+    below = min(max(F(1) - strength * albedo, F(0)), F(1))
+    depth = F(1) / np.sqrt(F(1) - (F(1) - cos2) / (ior * ior)) if ior > F(1) or cos2 > F(0) else F(1)
+    wr *= below * (F(1) + strength * (max(tr, F(0)) ** depth - F(1)))
+    wg *= below * (F(1) + strength * (max(tg, F(0)) ** depth - F(1)))
+    wb *= below * (F(1) + strength * (max(tb, F(0)) ** depth - F(1)))
+    return wr, wg, wb
+
+
+@inlined
+def finish(surface):
+    """Turns the weighted sums into means."""
+    covered = surface[LAYERED] + surface[LAYERED + 1] + surface[LAYERED + 2]
+    if covered > F(0):
+        surface[LAYER_F0] /= covered
+        surface[LAYER_Z] /= covered
+        surface[LAYER_ROUGHNESS] /= covered
+        surface[LAYER_MULTIPLE] /= covered
+    else:
+        surface[LAYER_F0] = surface[LAYER_Z] = surface[LAYER_ROUGHNESS] = surface[LAYER_MULTIPLE] = F(0)
+    glossy_weight = F(0)
+    for k in range(6):
+        glossy_weight += surface[GLOSSY_F0 + k]
+    surface[ROUGHNESS] = surface[ROUGHNESS] / glossy_weight if glossy_weight > F(0) else F(0)
+
+
+__all__ = ["DIFFUSE", "EMISSION", "TRANSPARENCY", "add", "coat", "dielectric_over_diffuse", "finish", "glass", "glossy", "metal"]

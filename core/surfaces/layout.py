@@ -1,0 +1,91 @@
+"""The surface: the floats that describe what a material is at one point, and what is read from them.
+
+One surface sums all closures of a node tree.  Reflectances are albedos (0..1), `EMISSION` is radiance in
+W/m^2/sr, `TRANSPARENCY` the share of light that goes straight through.  The diffuse albedo depends on
+the view where a dielectric lobe lies on top of it (see `ggx`): the part `LAYERED` of `DIFFUSE` is
+covered by the lobe that the four `LAYER_*` numbers describe.  Where a mix holds several such lobes the
+four are their means, weighted by what they cover.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..jit import inlined
+from . import ggx
+
+F = np.float32
+
+DIFFUSE = 0  # rgb: diffuse albedo before the dielectric lobe takes its share
+LAYERED = 3  # rgb: the part of DIFFUSE under a dielectric lobe
+LAYER_F0 = 6  # reflectance of that lobe at normal incidence
+LAYER_Z = 7  # its index of refraction, as `ggx.ior_coordinate`
+LAYER_ROUGHNESS = 8
+LAYER_MULTIPLE = 9  # Fms of `ggx`
+EMISSION = 10  # rgb
+TRANSPARENCY = 13  # rgb
+GLOSSY_F0 = 16  # rgb: glossy albedo at normal incidence
+GLOSSY_F90 = 19  # rgb: at grazing incidence
+ROUGHNESS = 22  # of the glossy lobes, weighted by their albedo
+NORMAL = 23  # xyz: world-space shading normal of a NORMAL_MAPPED material, else zeros
+SURFACE = 26  # length
+
+# z of an index of refraction of 1.5, whose Fresnel curve stands for all glossy lobes in means
+_GLOSSY_Z = F(0.2**0.5)
+
+
+@inlined
+def diffuse_albedo(surface, cosine):
+    """Diffuse albedo (r, g, b) for a view at `cosine` (0..1): what Cycles' Diffuse Color pass holds."""
+    share = ggx.layer_albedo(surface[LAYER_F0], surface[LAYER_Z], surface[LAYER_ROUGHNESS], surface[LAYER_MULTIPLE], cosine)
+    share = min(max(share, F(0)), F(1))
+    return (
+        surface[DIFFUSE] - share * surface[LAYERED],
+        surface[DIFFUSE + 1] - share * surface[LAYERED + 1],
+        surface[DIFFUSE + 2] - share * surface[LAYERED + 2],
+    )
+
+
+@inlined
+def diffuse_albedo_average(surface):
+    """Diffuse albedo (r, g, b), the mean of `diffuse_albedo` over the cosine-weighted hemisphere."""
+    share = ggx.layer_albedo_mean(surface[LAYER_F0], surface[LAYER_Z], surface[LAYER_ROUGHNESS], surface[LAYER_MULTIPLE])
+    share = min(max(share, F(0)), F(1))
+    return (
+        surface[DIFFUSE] - share * surface[LAYERED],
+        surface[DIFFUSE + 1] - share * surface[LAYERED + 1],
+        surface[DIFFUSE + 2] - share * surface[LAYERED + 2],
+    )
+
+
+@inlined
+def glossy_albedo(surface, cosine):
+    """Glossy albedo (r, g, b) for a view at `cosine`."""
+    s = ggx.fresnel_rise(_GLOSSY_Z, cosine, surface[ROUGHNESS])
+    return (
+        surface[GLOSSY_F0] + s * (surface[GLOSSY_F90] - surface[GLOSSY_F0]),
+        surface[GLOSSY_F0 + 1] + s * (surface[GLOSSY_F90 + 1] - surface[GLOSSY_F0 + 1]),
+        surface[GLOSSY_F0 + 2] + s * (surface[GLOSSY_F90 + 2] - surface[GLOSSY_F0 + 2]),
+    )
+
+
+@inlined
+def glossy_albedo_average(surface):
+    """Glossy albedo (r, g, b), the mean of `glossy_albedo` over the cosine-weighted hemisphere."""
+    s = ggx.layer_albedo_mean(F(0), _GLOSSY_Z, surface[ROUGHNESS], F(1))
+    return (
+        surface[GLOSSY_F0] + s * (surface[GLOSSY_F90] - surface[GLOSSY_F0]),
+        surface[GLOSSY_F0 + 1] + s * (surface[GLOSSY_F90 + 1] - surface[GLOSSY_F0 + 1]),
+        surface[GLOSSY_F0 + 2] + s * (surface[GLOSSY_F90 + 2] - surface[GLOSSY_F0 + 2]),
+    )
+
+
+@inlined
+def total_albedo_average(surface):
+    """Share of light (r, g, b) that leaves again, diffuse and glossy together, at most 1 per channel.
+
+    A tree may ask for more than 1 (Add Shader, colours above 1); light paths would then never end.
+    """
+    dr, dg, db = diffuse_albedo_average(surface)
+    gr, gg, gb = glossy_albedo_average(surface)
+    return min(dr + gr, F(1)), min(dg + gg, F(1)), min(db + gb, F(1))

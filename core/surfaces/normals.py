@@ -1,0 +1,23 @@
+"""Shading normals at a hit."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..jit import inlined
+
+
+@inlined
+def shading_normal(corner_normals, triangle, u, v, gx, gy, gz):
+    """Unit interpolated normal; the geometric one (g, unit) where the corners' normals cancel or are not finite."""
+    w = np.float32(1.0) - u - v
+    x = w * corner_normals[triangle, 0, 0] + u * corner_normals[triangle, 1, 0] + v * corner_normals[triangle, 2, 0]
+    y = w * corner_normals[triangle, 0, 1] + u * corner_normals[triangle, 1, 1] + v * corner_normals[triangle, 2, 1]
+    z = w * corner_normals[triangle, 0, 2] + u * corner_normals[triangle, 1, 2] + v * corner_normals[triangle, 2, 2]
+    length2 = x * x + y * y + z * z
+    if not (length2 > np.float32(1e-12)) or not (length2 < np.float32(1e12)):
+        return gx, gy, gz
+    s = np.float32(1.0) / np.float32(math.sqrt(length2))
+    return x * s, y * s, z * s

@@ -1,0 +1,143 @@
+"""Material programs: the instruction set and the jitted evaluator that runs one at a hit point.
+
+A program is a straight list of instructions over rows of four floats.  An instruction is eight integers
+(operation, destination row, operand rows a b c d e, parameter p).  Rows 0..REGISTERS-1 are registers,
+the rows after them are the constants of all materials.  A scalar fills x, y and z of its row, so that it
+reads as a grey colour or vector as it is.  Operations on closures add to the surface (see `layout`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..jit import kernel
+from ..scene import CONSTANT, MaterialTables
+from . import closures, textures
+from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TRANSPARENCY
+
+F = np.float32
+
+REGISTERS = 64
+# A view cosine above 1 asks for the mean over the views from the front.
+MEAN_VIEW = 2.0
+
+# Operations.  "rgb" are x, y, z of a row; p is the instruction's last integer.
+(
+    END,  # end of the program
+    # -- sources --
+    ATTRIBUTE,  # attribute slot p
+    TEXTURE,  # texture p at (a.x, a.y): rgb, alpha in w
+    # -- rows --
+    SPLAT,  # component p of a, in x, y, z
+    PACK,  # (a.x, b.x, c.x, d.x)
+    SCALE,  # a.xyz * b.xyz
+    # -- closures; d is the weight --
+    DIFFUSE_CLOSURE,  # colour a
+    EMISSION_CLOSURE,  # radiance a
+    TRANSPARENT_CLOSURE,  # colour a
+    GLOSSY_CLOSURE,  # colour a, roughness b.x, p: multiple scattering
+    METAL_CLOSURE,  # colour a, roughness b.x, tint at 82 degrees c, p: multiple scattering
+    GLASS_CLOSURE,  # colour a, (roughness, ior) b, tint of the reflection c
+    DIELECTRIC_CLOSURE,  # base colour a, (roughness, ior, specular level) b, tint c, p: multiple scattering
+    COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
+    NORMAL_MAP,  # world-space normal a
+) = range(15)
+
+
+@kernel
+def new_registers(tables):
+    """Scratch rows for `evaluate`: one array per chunk of work, never shared by threads."""
+    rows = np.empty((REGISTERS + tables.constants.shape[0], 4), np.float32)
+    rows[REGISTERS:] = tables.constants
+    return rows
+
+
+@kernel
+def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface):
+    """Writes the surface of `material` at a point of a triangle into `surface`, (SURFACE,) float32.
+
+    tables: MaterialTables.  attributes: (K, T, 3, 4).  (u, v): barycentric, weights of corners 1 and 2.
+    cosine: of the view with the shading normal, below 0 where the back of the triangle is seen;
+        MEAN_VIEW for the mean over the views.  rows: from `new_registers`.
+    """
+    if tables.flags[material] & CONSTANT:
+        for k in range(SURFACE):
+            surface[k] = tables.constant[material, k]
+        return
+    for k in range(SURFACE):
+        surface[k] = F(0)
+    code = tables.code
+    at = tables.start[material]
+    w0 = F(1) - u - v
+    while True:
+        op = code[at, 0]
+        if op == END:
+            break
+        ia, ib, ic, id_ = code[at, 2], code[at, 3], code[at, 4], code[at, 5]
+        p = code[at, 7]
+        ax, ay, az, aw = rows[ia, 0], rows[ia, 1], rows[ia, 2], rows[ia, 3]
+        bx, by, bz = rows[ib, 0], rows[ib, 1], rows[ib, 2]
+        cx, cy, cz = rows[ic, 0], rows[ic, 1], rows[ic, 2]
+        dx, dy, dz = rows[id_, 0], rows[id_, 1], rows[id_, 2]
+        x = y = z = F(0)
+        w = F(1)
+        if op == ATTRIBUTE:
+            x = w0 * attributes[p, triangle, 0, 0] + u * attributes[p, triangle, 1, 0] + v * attributes[p, triangle, 2, 0]
+            y = w0 * attributes[p, triangle, 0, 1] + u * attributes[p, triangle, 1, 1] + v * attributes[p, triangle, 2, 1]
+            z = w0 * attributes[p, triangle, 0, 2] + u * attributes[p, triangle, 1, 2] + v * attributes[p, triangle, 2, 2]
+            w = w0 * attributes[p, triangle, 0, 3] + u * attributes[p, triangle, 1, 3] + v * attributes[p, triangle, 2, 3]
+        elif op == TEXTURE:
+            x, y, z, w = textures.sample(tables.texture_header, tables.texels_u8, tables.texels_f32, p, ax, ay)
+        elif op == SPLAT:
+            x = y = z = rows[ia, p]
+        elif op == PACK:
+            x, y, z, w = ax, bx, cx, dx
+        elif op == SCALE:
+            x, y, z = ax * bx, ay * by, az * bz
+        elif op == DIFFUSE_CLOSURE:
+            closures.add(surface, DIFFUSE, dx, dy, dz, ax, ay, az)
+        elif op == EMISSION_CLOSURE:
+            closures.add(surface, EMISSION, dx, dy, dz, ax, ay, az)
+        elif op == TRANSPARENT_CLOSURE:
+            closures.add(surface, TRANSPARENCY, dx, dy, dz, ax, ay, az)
+        elif op == GLOSSY_CLOSURE:
+            closures.glossy(surface, ax, ay, az, bx, p, dx, dy, dz)
+        elif op == METAL_CLOSURE:
+            closures.metal(surface, ax, ay, az, bx, p, cx, cy, cz, dx, dy, dz)
+        elif op == GLASS_CLOSURE:
+            closures.glass(surface, ax, ay, az, bx, by, cx, cy, cz, dx, dy, dz)
+        elif op == DIELECTRIC_CLOSURE:
+            closures.dielectric_over_diffuse(surface, ax, ay, az, bx, by, bz, p, cx, cy, cz, dx, dy, dz)
+        elif op == COAT_CLOSURE:
+            x, y, z = closures.coat(surface, ax, ay, az, bx, by, bz, dx, dy, dz, cosine)
+        elif op == NORMAL_MAP:
+            surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2] = ax, ay, az
+        destination = code[at, 1]
+        rows[destination, 0], rows[destination, 1], rows[destination, 2], rows[destination, 3] = x, y, z, w
+        at += 1
+    closures.finish(surface)
+
+
+@kernel
+def evaluate_range(tables, materials, attributes, triangle, u, v, cosine, begin, end, surfaces):
+    """`evaluate` for hits begin..end; triangle < 0 (no hit) leaves zeros.  See `batch.evaluate_batch`."""
+    rows = new_registers(tables)
+    for i in range(begin, end):
+        if triangle[i] < 0:
+            surfaces[i] = F(0)
+        else:
+            evaluate(tables, materials[triangle[i]], attributes, triangle[i], u[i], v[i], cosine[i], rows, surfaces[i])
+
+
+def empty_tables() -> MaterialTables:
+    """Tables of no material."""
+    return MaterialTables(
+        code=np.zeros((1, 8), np.int32),
+        constants=np.zeros((1, 4), F),
+        start=np.zeros(0, np.int32),
+        flags=np.zeros(0, np.int32),
+        constant=np.zeros((0, SURFACE), F),
+        texture_header=np.zeros((1, textures.HEADER), np.int32),
+        texels_u8=np.zeros(4, np.uint8),
+        texels_f32=np.zeros(4, F),
+    )
