@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined
-from ..sampling.rng import hash_float
+from ..sampling.hashing import uniform
 from ..scene import Camera
 
 
@@ -65,8 +65,8 @@ def camera_ray(camera, x, y):
 @inlined
 def stratum(sample, side_x, side_y, seed, pixel):
     """Position of a sample in the pixel's square: jittered strata of a side_x x side_y grid."""
-    jx = hash_float(seed, pixel, sample, 0)
-    jy = hash_float(seed, pixel, sample, 1)
+    jx = uniform(seed, pixel, sample, 0)
+    jy = uniform(seed, pixel, sample, 1)
     x = (np.float32(sample % side_x) + jx) / np.float32(side_x)
     y = (np.float32(sample // side_x) + jy) / np.float32(side_y)
     return x, y

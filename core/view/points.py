@@ -16,7 +16,7 @@ class ShadingPoints(NamedTuple):
     albedo: (N, 3) float32, diffuse albedo times the share of the pixel: the pixel's diffuse radiance is the
         sum of albedo * irradiance / pi over its points.
     view: (N, 3) float32, unit, from the viewer.
-    f0: (N, 3), f90: (N,), roughness: (N,) float32, Schlick's glossy lobe (f0 and f90 times the share of the pixel).
+    f0, f90: (N, 3), roughness: (N,) float32, Schlick's glossy lobe (f0 and f90 times the share of the pixel).
     """
 
     position: np.ndarray
@@ -37,7 +37,7 @@ class ShadingPoints(NamedTuple):
         f, e = np.float32, np.empty
         return ShadingPoints(
             e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32),
-            e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f), e(n, f),
+            e((n, 3), f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f),
         )  # fmt: skip
 
     def take(self, index) -> ShadingPoints:

@@ -16,21 +16,13 @@ import numpy as np
 from ..jit import kernel
 from ..lamps.world import world_radiance
 from ..rays.offsets import hit_point
-from ..rays.packet import WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
+from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
 from ..rays.trace import ALL, intersect_packet
-from ..sampling.rng import hash_float
-from ..scene import CAMERA, TRANSPARENT, Scene
+from ..sampling.hashing import uniform
+from ..scene import CAMERA, NORMAL_MAPPED, TRANSPARENT, Scene
 from ..surfaces.normals import shading_normal
-from ..surfaces.program import (
-    EMISSION,
-    GLOSSY_F0,
-    GLOSSY_F90,
-    ROUGHNESS,
-    SURFACE,
-    TRANSPARENCY,
-    diffuse_albedo,
-    evaluate,
-)
+from ..surfaces.layout import EMISSION, GLOSSY_F0, GLOSSY_F90, NORMAL, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo
+from ..surfaces.program import evaluate, new_registers
 from ..threads import Progress, run_chunks
 from .camera import camera_ray, camera_tables, strata, stratum
 from .points import ShadingPoints
@@ -44,6 +36,7 @@ WORLD_DEPTH = np.float32(1e10)  # what Blender's depth pass has where nothing is
 SAME_NORMAL = np.float32(0.9)
 SAME_PLANE = np.float32(0.5)
 SAME_REACH = np.float32(8.0)
+_1 = np.float32(1.0)
 
 
 @dataclass
@@ -81,7 +74,7 @@ def _same_surface(px, py, pz, nx, ny, nz, qx, qy, qz, mx, my, mz, width):
 
 
 @kernel
-def _trace_tile(rays, camera, materials, material, attributes, tx, ty, side_x, side_y, seed, packet, surface, hits, weight, direction, depth):
+def _trace_tile(rays, camera, materials, material, attributes, tx, ty, side_x, side_y, seed, packet, rows, surface, hits, weight, direction, depth):
     """Trace the samples of one tile. hits: (16, P, 3) float32 bits of triangle, u, v; the number of rays comes back."""
     x1, y1 = camera.border[2], camera.border[3]
     origin = np.empty((WIDTH, 3), np.float32)
@@ -111,18 +104,20 @@ def _trace_tile(rays, camera, materials, material, attributes, tx, ty, side_x, s
             active = False
             for lane in range(WIDTH):
                 triangle = hit_triangle(packet, lane)
-                if triangle < 0 or triangles[lane, s, 0] >= 0:
+                if packet.f[T_FAR * WIDTH + lane] < 0:  # done already
+                    continue
+                if triangle < 0:
                     disable_ray(packet, lane)
                     continue
                 u, v, t = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
                 dx, dy, dz = direction[lane, s, 0], direction[lane, s, 1], direction[lane, s, 2]
                 axial = -(dx * camera.matrix[0, 2] + dy * camera.matrix[1, 2] + dz * camera.matrix[2, 2])
                 if materials.flags[material[triangle]] & TRANSPARENT:
-                    evaluate(materials, material[triangle], attributes, triangle, u, v, surface)
+                    evaluate(materials, material[triangle], attributes, triangle, u, v, _1, rows, surface)
                     tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
                     chance = min(np.float32(1.0), max(tr, tg, tb))
                     number = (ty + lane // TILE) * camera.size[0] + tx + lane % TILE
-                    if hash_float(seed, number, s, 2 + layer) < chance:
+                    if uniform(seed, number, s, 2 + layer) < chance:
                         weight[lane, s, 0] *= tr / chance
                         weight[lane, s, 1] *= tg / chance
                         weight[lane, s, 2] *= tb / chance
@@ -157,6 +152,7 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, si
     share = np.float32(1.0 / samples)
     packet = new_packet()
     surface = np.zeros(SURFACE, np.float32)
+    rows = new_registers(materials)
     hits = np.empty((WIDTH, samples, 3), np.float32)
     triangles = hits.view(np.int32)
     weight = np.empty((WIDTH, samples, 3), np.float32)
@@ -166,7 +162,7 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, si
     sample = np.empty((samples, 10), np.float32)
     group_of = np.empty(samples, np.int32)
     first = np.empty(samples, np.int32)
-    group = np.empty((samples, 12), np.float32)
+    group = np.empty((samples, 14), np.float32)
     pixel_width = abs(camera.window[1] - camera.window[0]) / np.float32(camera.size[0])
     n_points = 0
     n_rays = 0
@@ -174,7 +170,7 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, si
         tx = x0 + (tile % tiles_x) * TILE
         ty = y0 + (tile // tiles_x) * TILE
         n_rays += _trace_tile(
-            rays, camera, materials, material, attributes, tx, ty, side_x, side_y, seed, packet, surface, hits, weight, direction, depth
+            rays, camera, materials, material, attributes, tx, ty, side_x, side_y, seed, packet, rows, surface, hits, weight, direction, depth
         )
         for lane in range(WIDTH):
             px, py = tx + lane % TILE, ty + lane // TILE
@@ -198,10 +194,14 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, si
                 u, v = hits[lane, s, 1], hits[lane, s, 2]
                 x, y, z, gx, gy, gz, error = hit_point(vertices, triangle_vertices, triangle, u, v)
                 sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
-                if gx * dx + gy * dy + gz * dz > 0:
+                behind = gx * dx + gy * dy + gz * dz > 0
+                cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
+                evaluate(materials, material[triangle], attributes, triangle, u, v, -cosine if behind else cosine, rows, surface)
+                if materials.flags[material[triangle]] & NORMAL_MAPPED:
+                    sx, sy, sz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
+                    cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
+                if behind:
                     gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
-                evaluate(materials, material[triangle], attributes, triangle, u, v, surface)
-                cosine = abs(sx * dx + sy * dy + sz * dz)
                 ar, ag, ab = diffuse_albedo(surface, cosine)
                 ar, ag, ab = ar * wr, ag * wg, ab * wb
                 out[0] += ar
@@ -239,8 +239,10 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, si
                 group[k, 7] += surface[GLOSSY_F0] * wr
                 group[k, 8] += surface[GLOSSY_F0 + 1] * wg
                 group[k, 9] += surface[GLOSSY_F0 + 2] * wb
-                group[k, 10] += surface[GLOSSY_F90] * (wr + wg + wb) * np.float32(1 / 3)
-                group[k, 11] += surface[ROUGHNESS]
+                group[k, 10] += surface[GLOSSY_F90] * wr
+                group[k, 11] += surface[GLOSSY_F90 + 1] * wg
+                group[k, 12] += surface[GLOSSY_F90 + 2] * wb
+                group[k, 13] += surface[ROUGHNESS]
             if nearest < 0:
                 out[12] = WORLD_DEPTH
                 continue
@@ -248,7 +250,9 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, si
             out[9], out[10], out[11] = sample[nearest, 0], sample[nearest, 1], sample[nearest, 2]
             out[12] = depth[lane, nearest]
             for k in range(groups):
-                light = group[k, 4] + group[k, 5] + group[k, 6] + group[k, 7] + group[k, 8] + group[k, 9] + group[k, 10]
+                light = np.float32(0.0)
+                for c in range(4, 13):
+                    light += group[k, c]
                 if not light > 0:  # black: no light would show
                     continue
                 # The member nearest to the middle stands for all: exact where light varies linearly.
@@ -271,11 +275,11 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, si
                     points.view[i, c] = direction[lane, best, c]
                     points.albedo[i, c] = group[k, 4 + c]
                     points.f0[i, c] = group[k, 7 + c]
+                    points.f90[i, c] = group[k, 10 + c]
                 points.error[i] = sample[best, 3]
                 points.pixel[i] = pixel
                 points.triangle[i] = triangles[lane, best, 0]
-                points.f90[i] = group[k, 10]
-                points.roughness[i] = group[k, 11] * inverse
+                points.roughness[i] = group[k, 13] * inverse
     return n_points, n_rays
 
 

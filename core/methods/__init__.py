@@ -1,0 +1,1 @@
+"""The methods, one file each, all of one shape: `prepare(...)`, then `irradiance(points) -> (N, 3)`."""

@@ -1,0 +1,320 @@
+"""Light particles and the virtual point lights that they leave behind.
+
+Keller 1997, "Instant Radiosity": N particles leave the lamps, and the first floor(rho^j N) of them go on to
+bounce j, rho being the scene's mean reflectivity; the weight N / floor(rho^j N) makes up for the others.  The
+points are scrambled Sobol, whose beginnings are well distributed themselves, so that the ones which go on are a
+fair sample.
+
+Shading normals: light that arrives is weighed with |ns.w| / |ng.w| (Veach 1997, section 5.3), and light that
+leaves is cosine-distributed about the geometric normal, which together is the exact adjoint of what a path
+tracer computes with shading normals.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .jit import kernel
+from .lamps.emission import emit
+from .rays.offsets import hit_point, offset_origin
+from .rays.packet import T_FAR, WIDTH, disable_ray, hit_triangle, hit_u, hit_v, is_occluded, new_packet, set_ray
+from .rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
+from .sampling.hashing import uniform
+from .sampling.maps import cosine_hemisphere, to_world
+from .sampling.sequences import sobol
+from .scene import DIFFUSE, SHADOW, TRANSPARENT
+from .surfaces.normals import shading_normal
+from .surfaces.layout import SURFACE, TRANSPARENCY, total_albedo_average
+from .surfaces.program import MEAN_VIEW, evaluate, new_registers
+from .threads import Progress, run_chunks
+from .transport import Transport
+from .view.points import ShadingPoints
+
+_EMISSION_DIMENSIONS = 5  # Sobol dimensions that a particle's birth takes
+_MAX_PASSED = 64  # transparent surfaces that one flight passes at most
+_MAX_ADJOINT = np.float32(8.0)  # bound of |ns.w| / |ng.w|: beyond it a smooth normal is far from its triangle
+_1 = np.float32(1.0)
+
+
+class Vpls(NamedTuple):
+    """M virtual point lights: small patches that shine with a cosine about their normal.
+
+    position: (M, 3) float32.  error: (M,) float32, rounding error of the position (m).  normal: (M, 3) float32,
+    unit geometric normal on the lit side.  flux: (M, 3) float32, W leaving; the irradiance at a point x is
+    flux / pi * cos cos' / r^2.  emitter: (M,) int32, where the light came from.  bounce: (M,) int32, 1 for light
+    that left one surface.
+    """
+
+    position: np.ndarray
+    error: np.ndarray
+    normal: np.ndarray
+    flux: np.ndarray
+    emitter: np.ndarray
+    bounce: np.ndarray
+
+    @staticmethod
+    def allocate(n: int) -> Vpls:
+        """Room for n lights, not set."""
+        f, e = np.float32, np.empty
+        return Vpls(e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32))
+
+    def take(self, index) -> Vpls:
+        """The lights at `index` (anything that indexes an array)."""
+        return Vpls(*(np.ascontiguousarray(a[index]) for a in self))
+
+    @staticmethod
+    def concatenate(parts: list[Vpls]) -> Vpls:
+        """All lights of `parts`, in order."""
+        return Vpls(*(np.concatenate(arrays) for arrays in zip(*parts))) if parts else Vpls.allocate(0)
+
+
+@kernel
+def _trace_particles(scene, begin, end, survivors, seed, vpls):
+    """Fly the particles begin..end-1. survivors: (B,) int64, how many of all fly to bounce 0..B-1.
+
+    Writes VPLs (their flux still times the number of particles); returns their number, the rays traced, and
+    the sum and count of the albedos met (for rho).
+    """
+    packet = new_packet()
+    surface = np.zeros(SURFACE, np.float32)
+    rows = new_registers(scene.materials)
+    origin = np.empty((WIDTH, 3), np.float32)
+    direction = np.empty((WIDTH, 3), np.float32)
+    flux = np.empty((WIDTH, 3), np.float32)
+    emitter = np.empty(WIDTH, np.int32)
+    flying = np.empty(WIDTH, np.bool_)
+    n = 0
+    n_rays = 0
+    albedo_sum = 0.0
+    albedo_count = 0
+    for base in range(begin, end, WIDTH):
+        lanes = min(WIDTH, end - base)
+        for lane in range(lanes):
+            i = base + lane
+            emitter[lane], ox, oy, oz, dx, dy, dz, r, g, b = emit(
+                scene.emitters, sobol(i, 0, seed), sobol(i, 1, seed), sobol(i, 2, seed), sobol(i, 3, seed), sobol(i, 4, seed)
+            )
+            origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
+            direction[lane, 0], direction[lane, 1], direction[lane, 2] = dx, dy, dz
+            flux[lane, 0], flux[lane, 1], flux[lane, 2] = r, g, b
+            flying[lane] = emitter[lane] >= 0 and max(r, g, b) > 0
+        for bounce in range(len(survivors)):
+            landed_any = False
+            for lane in range(WIDTH):
+                if lane < lanes and flying[lane] and base + lane < survivors[bounce]:
+                    # The first flight is a shadow ray of the lamp, seen from its other end.
+                    kinds = DIFFUSE | SHADOW if bounce == 0 else DIFFUSE
+                    set_ray(
+                        packet, lane, origin[lane, 0], origin[lane, 1], origin[lane, 2],
+                        direction[lane, 0], direction[lane, 1], direction[lane, 2], np.float32(0.0), np.float32(np.inf), kinds,
+                    )  # fmt: skip
+                    landed_any = True
+                    n_rays += 1
+                else:
+                    if lane < lanes:
+                        flying[lane] = False
+                    disable_ray(packet, lane)
+            passed = 0
+            while landed_any and passed < _MAX_PASSED:
+                intersect_packet(scene.rays, ALL, packet, WIDTH)
+                landed_any = False
+                for lane in range(lanes):
+                    triangle = hit_triangle(packet, lane)
+                    if not flying[lane] or packet.f[T_FAR * WIDTH + lane] < 0:
+                        continue
+                    if triangle < 0:
+                        flying[lane] = False
+                        disable_ray(packet, lane)
+                        continue
+                    u, v = hit_u(packet, lane), hit_v(packet, lane)
+                    dx, dy, dz = direction[lane, 0], direction[lane, 1], direction[lane, 2]
+                    x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
+                    evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
+                    through = False
+                    if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
+                        tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
+                        chance = min(_1, max(tr, tg, tb))
+                        i = base + lane
+                        if uniform(seed, i, bounce, 16 + passed) < chance:
+                            flux[lane, 0] *= tr / chance
+                            flux[lane, 1] *= tg / chance
+                            flux[lane, 2] *= tb / chance
+                            through = True
+                        else:  # the albedo at a hit is that of what does not let light through
+                            flux[lane, 0] /= _1 - chance
+                            flux[lane, 1] /= _1 - chance
+                            flux[lane, 2] /= _1 - chance
+                    seen = scene.object_visibility[scene.object[triangle]]
+                    if bounce == 0 and not seen & SHADOW:
+                        through = True
+                    if through:
+                        ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
+                        kinds = DIFFUSE | SHADOW if bounce == 0 else DIFFUSE
+                        set_ray(packet, lane, ox, oy, oz, dx, dy, dz, np.float32(0.0), np.float32(np.inf), kinds)
+                        n_rays += 1
+                        landed_any = True
+                        continue
+                    disable_ray(packet, lane)
+                    if not seen & DIFFUSE:
+                        flying[lane] = False
+                        continue
+                    sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+                    cos_g = gx * dx + gy * dy + gz * dz
+                    if cos_g > 0:
+                        gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+                        cos_g = -cos_g
+                    cos_s = sx * dx + sy * dy + sz * dz
+                    adjoint = min(_MAX_ADJOINT, max(np.float32(0.0), cos_s / cos_g)) if cos_g < 0 else np.float32(0.0)
+                    ar, ag, ab = total_albedo_average(surface)
+                    albedo_sum += (ar + ag + ab) / 3.0
+                    albedo_count += 1
+                    r, g, b = flux[lane, 0] * ar * adjoint, flux[lane, 1] * ag * adjoint, flux[lane, 2] * ab * adjoint
+                    if not max(r, g, b) > 0:
+                        flying[lane] = False
+                        continue
+                    vpls.position[n, 0], vpls.position[n, 1], vpls.position[n, 2] = x, y, z
+                    vpls.normal[n, 0], vpls.normal[n, 1], vpls.normal[n, 2] = gx, gy, gz
+                    vpls.flux[n, 0], vpls.flux[n, 1], vpls.flux[n, 2] = r, g, b
+                    vpls.error[n] = error
+                    vpls.emitter[n] = emitter[lane]
+                    vpls.bounce[n] = bounce + 1
+                    n += 1
+                    i = base + lane
+                    if bounce + 1 < len(survivors) and i < survivors[bounce + 1]:
+                        more = np.float32(survivors[bounce] / survivors[bounce + 1])
+                        flux[lane, 0], flux[lane, 1], flux[lane, 2] = r * more, g * more, b * more
+                        d = _EMISSION_DIMENSIONS + 2 * bounce
+                        if d + 1 < 16:
+                            u1, u2 = sobol(i, d, seed), sobol(i, d + 1, seed)
+                        else:
+                            u1, u2 = uniform(seed, i, bounce, 0), uniform(seed, i, bounce, 1)
+                        lx, ly, lz = cosine_hemisphere(u1, u2)
+                        wx, wy, wz = to_world(lx, ly, lz, gx, gy, gz)
+                        direction[lane, 0], direction[lane, 1], direction[lane, 2] = wx, wy, wz
+                        origin[lane, 0], origin[lane, 1], origin[lane, 2] = offset_origin(x, y, z, gx, gy, gz, error, wx, wy, wz)
+                    else:
+                        flying[lane] = False
+                passed += 1
+            # A lane that still waits has passed too many surfaces: its light is lost, as in any renderer's limit.
+    return n, n_rays, albedo_sum, albedo_count
+
+
+def trace_particles(
+    scene: Transport, particles: int, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None
+) -> tuple[Vpls, int]:
+    """Fly `particles` from the lamps over at most `bounces` diffuse surfaces; VPLs and rays traced.
+
+    The expected irradiance of the VPLs is exactly that of light which left 1 to `bounces` surfaces.
+    """
+    chunk = 1024
+    probe = min(particles, chunk)
+    room = Vpls.allocate(probe)
+    _, n_rays, albedo_sum, albedo_count = _trace_particles(scene, 0, probe, np.array([probe], np.int64), np.uint32(seed), room)
+    if albedo_count == 0 or bounces < 1:
+        return Vpls.allocate(0), n_rays
+    rho = min(max(albedo_sum / albedo_count, 0.05), 1.0)
+    survivors = np.array([max(int(math.floor(rho**j * particles)), min(particles, 16)) for j in range(bounces)], np.int64)
+
+    def work(begin, end):
+        room = Vpls.allocate((end - begin) * bounces)
+        n, rays, _, _ = _trace_particles(scene, begin, end, survivors, np.uint32(seed), room)
+        return room.take(slice(0, n)), rays
+
+    parts = run_chunks(work, particles, chunk, threads, progress)
+    vpls = Vpls.concatenate([part for part, _ in parts])
+    vpls.flux[:] *= np.float32(1.0 / particles)
+    return vpls, n_rays + sum(rays for _, rays in parts)
+
+
+@kernel
+def _contributions(scene, vpls, begin, end, points, weights, g_max, rays_each, seed, reach, seen):
+    """Of each VPL begin..end-1: its unshadowed light on the points, and the visible share of it by a few rays."""
+    n = len(points.pixel)
+    light = np.empty(n, np.float32)
+    packet = new_packet()
+    traced = 0
+    for i in range(begin, end):
+        x, y, z = vpls.position[i, 0], vpls.position[i, 1], vpls.position[i, 2]
+        nx, ny, nz = vpls.normal[i, 0], vpls.normal[i, 1], vpls.normal[i, 2]
+        total = np.float32(0.0)
+        for k in range(n):
+            dx, dy, dz = x - points.position[k, 0], y - points.position[k, 1], z - points.position[k, 2]
+            r2 = dx * dx + dy * dy + dz * dz
+            c = max(np.float32(0.0), points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz)
+            c *= max(np.float32(0.0), -(nx * dx + ny * dy + nz * dz))
+            f = weights[k] * min(c / max(r2 * r2, np.float32(1e-30)), g_max)
+            light[k] = f
+            total += f
+        power = (vpls.flux[i, 0] + vpls.flux[i, 1] + vpls.flux[i, 2]) * np.float32(1 / 3)
+        reach[i] = total * power
+        seen[i] = np.float32(0.0)
+        if not total > 0:
+            continue
+        # Stratified picks in proportion to the light, one shadow ray each.
+        k = 0
+        partial = light[0]
+        for j in range(rays_each):
+            target = (np.float32(j) + uniform(seed, i, j, 0)) / np.float32(rays_each) * total
+            while k + 1 < n and partial < target:
+                k += 1
+                partial += light[k]
+            dx, dy, dz = x - points.position[k, 0], y - points.position[k, 1], z - points.position[k, 2]
+            ox, oy, oz = offset_origin(
+                points.position[k, 0], points.position[k, 1], points.position[k, 2],
+                points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz,
+            )  # fmt: skip
+            ex, ey, ez = offset_origin(x, y, z, nx, ny, nz, vpls.error[i], -dx, -dy, -dz)
+            set_ray(packet, j, ox, oy, oz, ex - ox, ey - oy, ez - oz, np.float32(0.0), np.float32(1.0), DIFFUSE)
+        occluded_packet(scene.rays, OPAQUE, packet, rays_each)
+        traced += rays_each
+        visible = 0
+        for j in range(rays_each):
+            if not is_occluded(packet, j):
+                visible += 1
+        seen[i] = np.float32(visible) / np.float32(rays_each)
+    return traced
+
+
+def resample(
+    scene: Transport, vpls: Vpls, points: ShadingPoints, count: int, g_max: float, seed: int, threads: int = 0, *,
+    subset: int = 96, rays_each: int = 8, defensive: float = 0.2,
+) -> tuple[Vpls, int]:  # fmt: skip
+    """Choose at most `count` VPLs by what they can give to the view; the chosen ones carry the light of all.
+
+    The density mixes the visible contribution to a `subset` of the points (unshadowed light times the visible
+    share by `rays_each` rays) with a `defensive` share by flux alone, so that no light that could matter is
+    impossible.  Exact weights: the expected light is unchanged.  Returns the VPLs and the rays traced.
+    """
+    m, n = len(vpls.bounce), len(points.pixel)
+    if m <= count or n == 0:
+        return vpls, 0
+    rng = np.random.default_rng(seed)
+    # Systematic over the image order: spread evenly, weighted by how much each point shows.
+    visible_weight = points.albedo.mean(axis=1) + points.f0.mean(axis=1) + 1e-6
+    cdf = np.cumsum(visible_weight, dtype=np.float64)
+    picks = np.searchsorted(cdf, (np.arange(min(subset, n)) + rng.random()) / min(subset, n) * cdf[-1])
+    chosen = points.take(np.minimum(picks, n - 1))
+    weights = np.ones(len(chosen.pixel), np.float32)
+    reach = np.empty(m, np.float32)
+    seen = np.empty(m, np.float32)
+
+    def work(begin, end):
+        return _contributions(scene, vpls, begin, end, chosen, weights, np.float32(g_max), rays_each, np.uint32(seed), reach, seen)
+
+    rays = sum(run_chunks(work, m, 512, threads))
+    power = vpls.flux.astype(np.float64).mean(axis=1)
+    importance = reach.astype(np.float64) * (seen + 0.02)
+    density = defensive * power / power.sum()
+    if importance.sum() > 0:
+        density = density + (1 - defensive) * importance / importance.sum()
+    density /= density.sum()
+    # Systematic resampling; a light that is picked k times is one light with k shares.
+    cdf = np.cumsum(density)
+    picks = np.searchsorted(cdf / cdf[-1], (np.arange(count) + rng.random()) / count)
+    index, copies = np.unique(np.minimum(picks, m - 1), return_counts=True)
+    kept = vpls.take(index)
+    kept.flux[:] *= (copies / (count * density[index]))[:, None].astype(np.float32)
+    return kept, rays
