@@ -187,6 +187,28 @@ def coat(surface, strength, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
 
 
 @inlined
+def view_cosine(cosine):
+    """|cosine| of the view; its cosine-weighted mean 2/3 for the mean over the views."""
+    return min(abs(cosine), F(1)) if abs(cosine) <= F(1) else F(2 / 3)
+
+
+@inlined
+def dielectric_fresnel(cosine, ior):
+    """Dielectric Fresnel term at the view, from inside (1 / ior) where the back is seen."""
+    ior = max(ior, F(1e-5))
+    if cosine < F(0):
+        ior = F(1) / ior
+    c = view_cosine(cosine)
+    g = ior * ior - F(1) + c * c
+    if g <= F(0):
+        return F(1)
+    g = np.sqrt(g)
+    a = (g - c) / (g + c)
+    b = (c * (g + c) - F(1)) / (c * (g - c) + F(1))
+    return F(0.5) * a * a * (F(1) + b * b)
+
+
+@inlined
 def finish(surface):
     """Turns the weighted sums into means."""
     covered = surface[LAYERED] + surface[LAYERED + 1] + surface[LAYERED + 2]

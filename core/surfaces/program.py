@@ -12,7 +12,7 @@ import numpy as np
 
 from ..jit import kernel
 from ..scene import CONSTANT, MaterialTables
-from . import closures, textures
+from . import arithmetic, closures, colors, textures
 from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TRANSPARENCY
 
 F = np.float32
@@ -30,7 +30,26 @@ MEAN_VIEW = 2.0
     # -- rows --
     SPLAT,  # component p of a, in x, y, z
     PACK,  # (a.x, b.x, c.x, d.x)
-    SCALE,  # a.xyz * b.xyz
+    # -- arithmetic --
+    MATH,  # scalar function p of a.x, b.x, c.x (arithmetic.SCALAR)
+    VECTOR_MATH,  # vector function p of a, b, c (arithmetic.VECTOR)
+    CLAMP,  # a between b and c, per component
+    MIX,  # b + a (c - b), per component
+    MATRIX,  # rows b, b + 1, b + 2 (translation in w) times a
+    ROTATE_EULER,  # a turned by the angles b, backwards if p
+    ROTATE_AXIS,  # a turned about b by c.x
+    # -- colours --
+    BLEND,  # colours b and c by the factor a.x in mode p (colors.BLEND)
+    COLOR_MODEL,  # a from one colour model to another, p of colors.convert
+    LUMINANCE,  # of a
+    AVERAGE,  # of a.xyz
+    GAMMA,  # a to the power b.x
+    RAMP,  # table of rows from b at a.x; p = 4 size + 2 extrapolate + interpolate
+    CURVES,  # x, y, z of that table at a.x, a.y, a.z
+    # -- the view --
+    FRESNEL,  # dielectric Fresnel term for the index of refraction a.x
+    FACING,  # 1 - |cosine| ** a.x
+    BACKFACING,  # 1 where the back is seen
     # -- closures; d is the weight --
     DIFFUSE_CLOSURE,  # colour a
     EMISSION_CLOSURE,  # radiance a
@@ -41,7 +60,7 @@ MEAN_VIEW = 2.0
     DIELECTRIC_CLOSURE,  # base colour a, (roughness, ior, specular level) b, tint c, p: multiple scattering
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
     NORMAL_MAP,  # world-space normal a
-) = range(15)
+) = range(31)
 
 
 @kernel
@@ -50,6 +69,27 @@ def new_registers(tables):
     rows = np.empty((REGISTERS + tables.constants.shape[0], 4), np.float32)
     rows[REGISTERS:] = tables.constants
     return rows
+
+
+@kernel
+def _ramp(rows, first, p, x):
+    size, extrapolate, interpolate = p >> 2, (p & 2) != 0, (p & 1) != 0
+    return (
+        colors.lookup(rows, first, size, 0, x, interpolate, extrapolate),
+        colors.lookup(rows, first, size, 1, x, interpolate, extrapolate),
+        colors.lookup(rows, first, size, 2, x, interpolate, extrapolate),
+        colors.lookup(rows, first, size, 3, x, interpolate, extrapolate),
+    )
+
+
+@kernel
+def _curves(rows, first, p, x, y, z):
+    size, extrapolate, interpolate = p >> 2, (p & 2) != 0, (p & 1) != 0
+    return (
+        colors.lookup(rows, first, size, 0, x, interpolate, extrapolate),
+        colors.lookup(rows, first, size, 1, y, interpolate, extrapolate),
+        colors.lookup(rows, first, size, 2, z, interpolate, extrapolate),
+    )
 
 
 @kernel
@@ -75,7 +115,7 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
             break
         ia, ib, ic, id_ = code[at, 2], code[at, 3], code[at, 4], code[at, 5]
         p = code[at, 7]
-        ax, ay, az, aw = rows[ia, 0], rows[ia, 1], rows[ia, 2], rows[ia, 3]
+        ax, ay, az = rows[ia, 0], rows[ia, 1], rows[ia, 2]
         bx, by, bz = rows[ib, 0], rows[ib, 1], rows[ib, 2]
         cx, cy, cz = rows[ic, 0], rows[ic, 1], rows[ic, 2]
         dx, dy, dz = rows[id_, 0], rows[id_, 1], rows[id_, 2]
@@ -92,8 +132,42 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
             x = y = z = rows[ia, p]
         elif op == PACK:
             x, y, z, w = ax, bx, cx, dx
-        elif op == SCALE:
-            x, y, z = ax * bx, ay * by, az * bz
+        elif op == MATH:
+            x = y = z = arithmetic.scalar_math(p, ax, bx, cx)
+        elif op == VECTOR_MATH:
+            x, y, z = arithmetic.vector_math(p, ax, ay, az, bx, by, bz, cx, cy, cz)
+        elif op == CLAMP:
+            x, y, z = min(max(ax, bx), cx), min(max(ay, by), cy), min(max(az, bz), cz)
+        elif op == MIX:
+            x, y, z = bx + ax * (cx - bx), by + ay * (cy - by), bz + az * (cz - bz)
+        elif op == MATRIX:
+            x = bx * ax + by * ay + bz * az + rows[ib, 3]
+            y = rows[ib + 1, 0] * ax + rows[ib + 1, 1] * ay + rows[ib + 1, 2] * az + rows[ib + 1, 3]
+            z = rows[ib + 2, 0] * ax + rows[ib + 2, 1] * ay + rows[ib + 2, 2] * az + rows[ib + 2, 3]
+        elif op == ROTATE_EULER:
+            x, y, z = arithmetic.rotate_euler(ax, ay, az, bx, by, bz, p != 0)
+        elif op == ROTATE_AXIS:
+            x, y, z = arithmetic.rotate_axis(ax, ay, az, bx, by, bz, cx)
+        elif op == BLEND:
+            x, y, z = colors.blend(p, ax, bx, by, bz, cx, cy, cz)
+        elif op == COLOR_MODEL:
+            x, y, z = colors.convert(p, ax, ay, az)
+        elif op == LUMINANCE:
+            x = y = z = colors.luminance(ax, ay, az)
+        elif op == AVERAGE:
+            x = y = z = (ax + ay + az) * F(1 / 3)
+        elif op == GAMMA:
+            x, y, z = colors.gamma(ax, bx), colors.gamma(ay, bx), colors.gamma(az, bx)
+        elif op == RAMP:
+            x, y, z, w = _ramp(rows, ib, p, ax)
+        elif op == CURVES:
+            x, y, z = _curves(rows, ib, p, ax, ay, az)
+        elif op == FRESNEL:
+            x = y = z = closures.dielectric_fresnel(cosine, ax)
+        elif op == FACING:
+            x = y = z = F(1) - closures.view_cosine(cosine) ** ax
+        elif op == BACKFACING:
+            x = y = z = F(1) if cosine < F(0) else F(0)
         elif op == DIFFUSE_CLOSURE:
             closures.add(surface, DIFFUSE, dx, dy, dz, ax, ay, az)
         elif op == EMISSION_CLOSURE:
