@@ -5,6 +5,8 @@ From NumPy: `RayScene`, then `intersect` and `occluded` on arrays of rays.  Insi
 `intersect_packet` (rays in any order: `occluded1`, `intersect1`).
 """
 
+from .offsets import hit_point, offset_origin, shadow_segment
+from .order import morton_order
 from .packet import WIDTH, Packet, disable_ray, hit_t, hit_triangle, hit_u, hit_v, is_occluded, new_packet, set_ray
 from .scene import Hits, RayScene, intersect, occluded
 from .trace import ALL, CUTOUT, OPAQUE, intersect1, intersect_packet, occluded1, occluded_packet
@@ -18,6 +20,7 @@ __all__ = [
     "Packet",
     "RayScene",
     "disable_ray",
+    "hit_point",
     "hit_t",
     "hit_triangle",
     "hit_u",
@@ -26,9 +29,12 @@ __all__ = [
     "intersect1",
     "intersect_packet",
     "is_occluded",
+    "morton_order",
     "new_packet",
     "occluded",
     "occluded1",
     "occluded_packet",
+    "offset_origin",
     "set_ray",
+    "shadow_segment",
 ]

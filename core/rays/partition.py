@@ -35,9 +35,8 @@ def valid_triangles(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         a = vertices[triangles[:, 0]].astype(np.float64)
         e1 = vertices[triangles[:, 1]] - a
         e2 = vertices[triangles[:, 2]] - a
-        for i, j in ((0, 1), (1, 2), (2, 0)):
-            e = e1[:, i] * e2[:, j] != e1[:, j] * e2[:, i]
-            area = e if (i, j) == (0, 1) else area | e
+        pairs = ((0, 1), (1, 2), (2, 0))
+        area = np.logical_or.reduce([e1[:, i] * e2[:, j] != e1[:, j] * e2[:, i] for i, j in pairs])
     return usable & area
 
 
