@@ -158,6 +158,22 @@ def glass(surface, r, g, b, roughness, ior, tr, tg, tb, wr, wg, wb):
 
 
 @inlined
+def sheen(surface, strength, roughness, tr, tg, tb, wr, wg, wb, cosine):
+    """Principled BSDF's sheen: adds its lobe, which counts as diffuse, and returns the weight of what lies below."""
+    albedo = max(strength, F(0)) * sheen_albedo(view_cosine(cosine), min(max(roughness, F(1e-3)), F(1)))
+    tr, tg, tb = albedo * max(tr, F(0)), albedo * max(tg, F(0)), albedo * max(tb, F(0))
+    add(surface, DIFFUSE, wr, wg, wb, tr, tg, tb)
+    below = max(F(1) - max(tr, max(tg, tb)), F(0))
+    return wr * below, wg * below, wb * below
+
+
+@inlined
+def sheen_albedo(cosine, roughness):
+    """Albedo of the microfibre sheen lobe (fit to Zeltner, Burley and Chiang 2022)."""
+    return F(0.3) * roughness * (F(1) - cosine) ** 2 + F(0.05)
+
+
+@inlined
 def coat(surface, strength, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
     """Principled BSDF's coat: adds its lobe and returns the weight of what lies below.
 

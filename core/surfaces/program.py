@@ -27,6 +27,8 @@ MEAN_VIEW = 2.0
     # -- sources --
     ATTRIBUTE,  # attribute slot p
     TEXTURE,  # texture p at (a.x, a.y): rgb, alpha in w
+    TEXTURE_BOX,  # texture p by box projection of the point a, object-space normal b, blend c.x
+    PROJECT,  # image coordinates of the direction a - 1/2: p 0 sphere, 1 tube
     # -- rows --
     SPLAT,  # component p of a, in x, y, z
     PACK,  # (a.x, b.x, c.x, d.x)
@@ -58,9 +60,10 @@ MEAN_VIEW = 2.0
     METAL_CLOSURE,  # colour a, roughness b.x, tint at 82 degrees c, p: multiple scattering
     GLASS_CLOSURE,  # colour a, (roughness, ior) b, tint of the reflection c
     DIELECTRIC_CLOSURE,  # base colour a, (roughness, ior, specular level) b, tint c, p: multiple scattering
+    SHEEN_CLOSURE,  # (weight, roughness) a, tint b; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
     NORMAL_MAP,  # world-space normal a
-) = range(31)
+) = range(34)
 
 
 @kernel
@@ -69,6 +72,19 @@ def new_registers(tables):
     rows = np.empty((REGISTERS + tables.constants.shape[0], 4), np.float32)
     rows[REGISTERS:] = tables.constants
     return rows
+
+
+@kernel
+def _box(tables, texture, x, y, z, nx, ny, nz, mix):
+    wx, wy, wz = textures.box_weights(abs(nx), abs(ny), abs(nz), mix)
+    r = g = b = a = F(0)
+    for side in range(3):
+        weight = wx if side == 0 else wy if side == 1 else wz
+        if weight > F(0):
+            u, v = textures.box_side(side, x, y, z, nx, ny, nz)
+            tr, tg, tb, ta = textures.sample(tables.texture_header, tables.texels_u8, tables.texels_f32, texture, u, v)
+            r, g, b, a = r + weight * tr, g + weight * tg, b + weight * tb, a + weight * ta
+    return r, g, b, a
 
 
 @kernel
@@ -128,6 +144,10 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
             w = w0 * attributes[p, triangle, 0, 3] + u * attributes[p, triangle, 1, 3] + v * attributes[p, triangle, 2, 3]
         elif op == TEXTURE:
             x, y, z, w = textures.sample(tables.texture_header, tables.texels_u8, tables.texels_f32, p, ax, ay)
+        elif op == TEXTURE_BOX:
+            x, y, z, w = _box(tables, p, ax, ay, az, bx, by, bz, cx)
+        elif op == PROJECT:
+            x, y = textures.to_sphere(ax, ay, az) if p == 0 else textures.to_tube(ax, ay, az)
         elif op == SPLAT:
             x = y = z = rows[ia, p]
         elif op == PACK:
@@ -182,6 +202,8 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
             closures.glass(surface, ax, ay, az, bx, by, cx, cy, cz, dx, dy, dz)
         elif op == DIELECTRIC_CLOSURE:
             closures.dielectric_over_diffuse(surface, ax, ay, az, bx, by, bz, p, cx, cy, cz, dx, dy, dz)
+        elif op == SHEEN_CLOSURE:
+            x, y, z = closures.sheen(surface, ax, ay, bx, by, bz, dx, dy, dz, cosine)
         elif op == COAT_CLOSURE:
             x, y, z = closures.coat(surface, ax, ay, az, bx, by, bz, dx, dy, dz, cosine)
         elif op == NORMAL_MAP:

@@ -186,3 +186,66 @@ def sample(texture_header, texels_u8, texels_f32, texture, u, v):
     if flags & SRGB:
         r, g, b = _srgb_to_linear(r), _srgb_to_linear(g), _srgb_to_linear(b)
     return r, g, b, a
+
+
+@inlined
+def to_sphere(x, y, z):
+    """Image coordinates of a point of the unit cube, projected from its centre on a sphere."""
+    x, y, z = F(2) * x - F(1), F(2) * y - F(1), F(2) * z - F(1)
+    length = np.sqrt(x * x + y * y + z * z)
+    if length == F(0):
+        return F(0), F(0)
+    u = F(0.5) - np.arctan2(x, y) * F(0.5 / np.pi) if x != F(0) or y != F(0) else F(0)
+    return u, F(1) - np.arccos(min(max(z / length, F(-1)), F(1))) * F(1 / np.pi)
+
+
+@inlined
+def to_tube(x, y, z):
+    """Image coordinates of a point of the unit cube, projected from its z axis on a tube."""
+    x, y = F(2) * x - F(1), F(2) * y - F(1)
+    if x == F(0) and y == F(0):
+        return F(0), F(0)
+    return (F(1) - np.arctan2(x, y) * F(1 / np.pi)) * F(0.5), z
+
+
+@inlined
+def box_weights(x, y, z, mix):
+    """Shares of the three sides for the absolute normal (x, y, z) and the blend `mix` (Cycles: svm_node_tex_image_box)."""
+    total = x + y + z
+    x, y, z = x / total, y / total, z / total
+    limit = F(0.5) * (F(1) + mix)
+    if x > limit * (x + y) and x > limit * (x + z):
+        return F(1), F(0), F(0)
+    if y > limit * (x + y) and y > limit * (y + z):
+        return F(0), F(1), F(0)
+    if z > limit * (x + z) and z > limit * (y + z):
+        return F(0), F(0), F(1)
+    if not mix > F(0):
+        return F(1), F(0), F(0)
+    if z < (F(1) - limit) * (y + x):
+        w = _box_share(x, y, mix)
+        return w, F(1) - w, F(0)
+    if x < (F(1) - limit) * (y + z):
+        w = _box_share(y, z, mix)
+        return F(0), w, F(1) - w
+    if y < (F(1) - limit) * (x + z):
+        w = _box_share(x, z, mix)
+        return w, F(0), F(1) - w
+    k = F(1) / (F(2) * limit - F(1))
+    a, b = (F(2) - limit) * k, (limit - F(1)) * k
+    return a * x + b, a * y + b, a * z + b
+
+
+@inlined
+def _box_share(first, second, mix):
+    return min(max((first / (first + second) - F(0.5) * (F(1) - mix)) / mix, F(0)), F(1))
+
+
+@inlined
+def box_side(side, x, y, z, nx, ny, nz):
+    """Image coordinates on side 0, 1, 2 (x, y, z) of the box; none is mirrored."""
+    if side == 0:
+        return (F(1) - y if nx < F(0) else y), z
+    if side == 1:
+        return (F(1) - x if ny > F(0) else x), z
+    return (F(1) - y if nz > F(0) else y), x

@@ -1,0 +1,99 @@
+"""Compiles the materials of a scene into the tables of the jitted evaluator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...core import scene
+from ...core.surfaces import program as ops
+from ...core.surfaces.layout import EMISSION, GLOSSY_F0, SURFACE, TRANSPARENCY
+from ...core.surfaces.textures import TexturePool
+from . import nodes, registry  # noqa: F401  (importing `nodes` fills the registry)
+from .builder import ONE, ZERO, Constant, Program, TooComplex, run
+from .requests import CompiledMaterials, MaterialUse
+from .tree import Context, Scope
+
+_DEFAULT_GREY = Constant(0.8, 0.8, 0.8)
+_GLOSSY = {ops.GLOSSY_CLOSURE, ops.METAL_CLOSURE, ops.GLASS_CLOSURE, ops.DIELECTRIC_CLOSURE, ops.COAT_CLOSURE}
+_TRANSPARENT = {ops.TRANSPARENT_CLOSURE, ops.GLASS_CLOSURE}
+
+
+def compile_materials(uses: Sequence[MaterialUse]) -> CompiledMaterials:
+    """Tables of the materials of `uses`, in their order."""
+    textures = TexturePool()
+    warnings: list[str] = []
+    programs = [_program(use, textures, warnings) for use in uses]
+    names = [use.material.name if use.material else "" for use in uses]
+    tables = _link(programs, names, textures, warnings)
+    requests = [list(p.requests) for p in programs]
+    return CompiledMaterials(scene.Materials(names, tables), requests, warnings)
+
+
+def _program(use: MaterialUse, textures: TexturePool, warnings: list[str]) -> Program:
+    program = Program()
+    material = use.material
+    if material is None or not _uses_nodes(material):
+        color = _DEFAULT_GREY if material is None else Constant(*material.diffuse_color)
+        program.emit(ops.DIFFUSE_CLOSURE, color, ZERO, ZERO, ONE)
+        return program
+    context = Context(material, program, textures, warnings)
+    output = material.node_tree.get_output_node("CYCLES") or material.node_tree.get_output_node("ALL")
+    if output is None:
+        return program
+    try:
+        Scope(context, material.node_tree).shade(output.inputs["Surface"], ONE)
+    except registry.Unsupported as reason:
+        context.warn(f"{reason}; the material is shown in its viewport colour")
+        return _viewport_color(material)
+    if output.inputs["Volume"].is_linked:
+        context.warn("its volume is left out")
+    if output.inputs["Displacement"].is_linked:
+        context.warn("its displacement is left out")
+    return program
+
+
+def _uses_nodes(material) -> bool:
+    return material.node_tree is not None and bool(getattr(material, "use_nodes", True))
+
+
+def _viewport_color(material) -> Program:
+    program = Program()
+    program.emit(ops.DIFFUSE_CLOSURE, Constant(*material.diffuse_color), ZERO, ZERO, ONE)
+    return program
+
+
+def _link(programs: list[Program], names: list[str], textures: TexturePool, warnings: list[str]) -> scene.MaterialTables:
+    code, constants = [np.array([[ops.END, *[0] * 7]], np.int32)], [np.zeros((1, 4), np.float32)]
+    start = np.zeros(len(programs), np.int32)
+    flags = np.zeros(len(programs), np.int32)
+    constant = np.zeros((len(programs), SURFACE), np.float32)
+    for m, program in enumerate(programs):
+        operations = program.operations()
+        if not program.varies:
+            _, constant[m] = run(*program.assemble(0))
+            flags[m] = scene.CONSTANT | _constant_flags(constant[m])
+        else:
+            try:
+                instructions, rows = program.assemble(sum(map(len, constants)))
+            except TooComplex:
+                warnings.append(f"Material '{names[m]}': its node tree is too large; it shows as black")
+                flags[m] = scene.CONSTANT
+                continue
+            start[m] = sum(map(len, code))
+            code.append(instructions)
+            constants.append(rows)
+            flags[m] = (
+                scene.EMISSIVE * (ops.EMISSION_CLOSURE in operations)
+                | scene.TRANSPARENT * bool(operations & _TRANSPARENT)
+                | scene.GLOSSY_LOBE * bool(operations & _GLOSSY)
+            )
+        flags[m] |= scene.NORMAL_MAPPED * (ops.NORMAL_MAP in operations)
+    header, texels_u8, texels_f32 = textures.tables()
+    return scene.MaterialTables(np.concatenate(code), np.concatenate(constants), start, flags, constant, header, texels_u8, texels_f32)
+
+
+def _constant_flags(surface: np.ndarray) -> int:
+    pairs = ((scene.EMISSIVE, EMISSION, 3), (scene.TRANSPARENT, TRANSPARENCY, 3), (scene.GLOSSY_LOBE, GLOSSY_F0, 6))
+    return sum(flag for flag, at, n in pairs if (surface[at : at + n] > 0).any())

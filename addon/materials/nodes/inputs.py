@@ -1,0 +1,145 @@
+"""Input nodes: constants, attributes, geometry, the view."""
+
+from __future__ import annotations
+
+from ....core.surfaces import program as ops
+from ..builder import ONE, ZERO, Constant, Value, scalar
+from ..registry import Unsupported, value
+from ..requests import (
+    ATTRIBUTE,
+    COLOR,
+    FACE_NORMAL,
+    GENERATED,
+    NORMAL,
+    OBJECT,
+    OBJECT_ATTRIBUTE,
+    OBJECT_COLOR,
+    OBJECT_INDEX,
+    OBJECT_LOCATION,
+    OBJECT_RANDOM,
+    UV,
+    WORLD_NORMAL,
+    WORLD_POSITION,
+)
+from ..tree import NodeInput
+
+
+@value("ShaderNodeValue")
+def number(node: NodeInput, output: str) -> Value:
+    """Value."""
+    return scalar(node.node.outputs[0].default_value)
+
+
+@value("ShaderNodeRGB")
+def rgb(node: NodeInput, output: str) -> Value:
+    """RGB."""
+    return Constant(*node.node.outputs[0].default_value)
+
+
+@value("ShaderNodeUVMap")
+def uv_map(node: NodeInput, output: str) -> Value:
+    """UV Map."""
+    return node.program.attribute(UV, node.node.uv_map)
+
+
+@value("ShaderNodeTexCoord")
+def texture_coordinate(node: NodeInput, output: str) -> Value:
+    """Texture Coordinate, but for the outputs that depend on the camera."""
+    if output == "UV":
+        return node.program.attribute(UV)
+    if output == "Generated":
+        return node.program.attribute(GENERATED)
+    if output == "Normal":
+        return node.program.attribute(NORMAL)
+    if output == "Object":
+        other = node.node.object
+        return node.program.attribute(OBJECT, other.name if other else "")
+    raise Unsupported(f"node '{node.node.name}' reads the output '{output}' of Texture Coordinate, which depends on the camera")
+
+
+@value("ShaderNodeAttribute")
+def attribute(node: NodeInput, output: str) -> Value:
+    """Attribute: of the geometry, the object or its instancer."""
+    kind, name = node.node.attribute_type, node.node.attribute_name
+    if kind == "VIEW_LAYER":
+        raise Unsupported(f"node '{node.node.name}' reads an attribute of the view layer")
+    if kind == "GEOMETRY":
+        read = node.program.attribute(ATTRIBUTE, name)
+    else:
+        read = node.program.attribute(OBJECT_ATTRIBUTE, name)
+    if output == "Fac":
+        return node.emit(ops.AVERAGE, read)
+    return node.splat(read, 3) if output == "Alpha" else read
+
+
+@value("ShaderNodeVertexColor")
+def color_attribute(node: NodeInput, output: str) -> Value:
+    """Color Attribute."""
+    read = node.program.attribute(COLOR, node.node.layer_name)
+    return node.splat(read, 3) if output == "Alpha" else read
+
+
+@value("ShaderNodeObjectInfo")
+def object_info(node: NodeInput, output: str) -> Value:
+    """Object Info."""
+    if output == "Location":
+        return node.program.attribute(OBJECT_LOCATION)
+    if output in ("Color", "Alpha"):
+        read = node.program.attribute(OBJECT_COLOR)
+        return node.splat(read, 3) if output == "Alpha" else read
+    if output == "Object Index":
+        return node.program.attribute(OBJECT_INDEX)
+    if output == "Random":
+        return node.program.attribute(OBJECT_RANDOM)
+    return scalar(node.context.material.pass_index)
+
+
+@value("ShaderNodeNewGeometry")
+def geometry(node: NodeInput, output: str) -> Value:
+    """Geometry; Incoming, Tangent, Pointiness and Random Per Island are not known to the core."""
+    if output == "Position":
+        return node.program.attribute(WORLD_POSITION)
+    if output == "Normal":
+        return node.program.attribute(WORLD_NORMAL)
+    if output == "True Normal":
+        return node.program.attribute(FACE_NORMAL)
+    if output == "Backfacing":
+        return node.emit(ops.BACKFACING)
+    raise Unsupported(f"node '{node.node.name}' reads the output '{output}' of Geometry")
+
+
+@value("ShaderNodeFresnel")
+def fresnel(node: NodeInput, output: str) -> Value:
+    """Fresnel; of the shading normal, a linked normal is left out."""
+    if node.linked("Normal"):
+        node.warn("Fresnel uses the surface's own normal")
+    return node.emit(ops.FRESNEL, node["IOR"])
+
+
+@value("ShaderNodeLayerWeight")
+def layer_weight(node: NodeInput, output: str) -> Value:
+    """Layer Weight (Cycles: svm_node_layer_weight)."""
+    if node.linked("Normal"):
+        node.warn("Layer Weight uses the surface's own normal")
+    blend = node["Blend"]
+    if output == "Fresnel":
+        eta = node.math("MAXIMUM", node.complement(blend), scalar(1e-5))
+        return node.emit(ops.FRESNEL, node.math("DIVIDE", ONE, eta))
+    blend = node.clamp(blend, ZERO, scalar(1 - 1e-5))
+    low = node.math("MULTIPLY", scalar(2), blend)
+    high = node.math("DIVIDE", scalar(0.5), node.complement(blend))
+    return node.emit(ops.FACING, node.emit(ops.MIX, node.math("LESS_THAN", blend, scalar(0.5)), high, low))
+
+
+@value("ShaderNodeCameraData", "ShaderNodeLightPath", "ShaderNodeParticleInfo", "ShaderNodeHairInfo", "ShaderNodePointInfo")
+def unknown_input(node: NodeInput, output: str) -> Value:
+    """What depends on the ray or on particles: see `light_path` for the one that has an answer."""
+    if node.node.bl_idname == "ShaderNodeLightPath":
+        return _light_path(node, output)
+    raise Unsupported(f"node '{node.node.name}' ({node.node.bl_label}) reads '{output}'")
+
+
+def _light_path(node: NodeInput, output: str) -> Value:
+    """Light Path as a camera ray sees it, but for shadow rays nothing differs."""
+    node.warn(f"Light Path ('{output}') is read as for a camera ray")
+    return {"Is Camera Ray": ONE, "Ray Length": ONE}.get(output, ZERO)

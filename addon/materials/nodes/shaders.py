@@ -1,0 +1,188 @@
+"""Shader nodes: closures with the weight that the mix shaders above leave them."""
+
+from __future__ import annotations
+
+from ....core.surfaces import program as ops
+from ..builder import ONE, ZERO, Constant, Value, scalar
+from ..registry import closure
+from ..tree import NodeInput
+
+
+def _is(value: Value, number: float) -> bool:
+    """Whether a value is known to be this number."""
+    return isinstance(value, Constant) and value.rgb == (number, number, number)
+
+
+def _multiple(node: NodeInput) -> int:
+    """1 where the node's microfacet distribution keeps the light scattered more than once."""
+    return int(node.node.distribution == "MULTI_GGX")
+
+
+def _normal(node: NodeInput, key: str = "Normal") -> None:
+    """The shading normal of a linked normal input."""
+    if node.has(key) and node.linked(key):
+        node.emit(ops.NORMAL_MAP, node[key])
+
+
+@closure("ShaderNodeBsdfPrincipled")
+def principled(node: NodeInput, weight: Value) -> None:
+    """Principled BSDF v2: alpha, sheen, coat, emission, metal, transmission, dielectric over diffuse."""
+    _normal(node)
+    multiple = _multiple(node)
+    alpha = node.clamp(node["Alpha"])
+    if not _is(alpha, 1):
+        node.emit(ops.TRANSPARENT_CLOSURE, ONE, ZERO, ZERO, node.multiply(weight, node.complement(alpha)))
+        weight = node.multiply(weight, alpha)
+    if weight == ZERO:
+        return
+    base, roughness, ior = node["Base Color"], node["Roughness"], node["IOR"]
+    sheen = node["Sheen Weight"]
+    if not _is(sheen, 0):
+        lobe = node.pack(sheen, node["Sheen Roughness"])
+        weight = node.emit(ops.SHEEN_CLOSURE, lobe, node["Sheen Tint"], ZERO, weight)
+    coat = node["Coat Weight"]
+    if not _is(coat, 0):
+        lobe = node.pack(coat, node["Coat Roughness"], node["Coat IOR"])
+        weight = node.emit(ops.COAT_CLOSURE, lobe, node["Coat Tint"], ZERO, weight)
+    emission = node.multiply(node["Emission Color"], node["Emission Strength"])
+    if emission != ZERO:
+        node.emit(ops.EMISSION_CLOSURE, emission, ZERO, ZERO, weight)
+    tint = node["Specular Tint"]
+    metallic = node.clamp(node["Metallic"])
+    if not _is(metallic, 0):
+        node.emit(ops.METAL_CLOSURE, base, roughness, tint, node.multiply(weight, metallic), p=multiple)
+        weight = node.multiply(weight, node.complement(metallic))
+    transmission = node.clamp(node["Transmission Weight"])
+    if not _is(transmission, 0):
+        through = node.math_rgb("SQRT", node.clamp(base))
+        share = node.multiply(weight, transmission)
+        node.emit(ops.GLASS_CLOSURE, through, node.pack(roughness, ior), tint, share)
+        weight = node.multiply(weight, node.complement(transmission))
+        node.warn("transmission is treated as straight through, without refraction")
+    if not _is(node["Subsurface Weight"], 0):
+        node.warn("subsurface scattering is treated as diffuse reflection with the base colour")
+    if weight != ZERO:
+        lobe = node.pack(roughness, ior, node["Specular IOR Level"])
+        node.emit(ops.DIELECTRIC_CLOSURE, base, lobe, tint, weight, p=multiple)
+
+
+@closure("ShaderNodeBsdfDiffuse")
+def diffuse(node: NodeInput, weight: Value) -> None:
+    """Diffuse BSDF; a rough one (Oren-Nayar) keeps its albedo and is treated as Lambertian."""
+    _normal(node)
+    node.emit(ops.DIFFUSE_CLOSURE, node["Color"], ZERO, ZERO, weight)
+
+
+@closure("ShaderNodeBsdfTranslucent")
+def translucent(node: NodeInput, weight: Value) -> None:
+    """Translucent BSDF: its light comes from behind in Cycles, from the front here."""
+    node.warn("a Translucent BSDF is lit from the front, as if it were diffuse")
+    node.emit(ops.DIFFUSE_CLOSURE, node["Color"], ZERO, ZERO, weight)
+
+
+@closure("ShaderNodeSubsurfaceScattering")
+def subsurface(node: NodeInput, weight: Value) -> None:
+    """Subsurface Scattering: diffuse with its colour."""
+    node.warn("subsurface scattering is treated as diffuse reflection with its colour")
+    _normal(node)
+    node.emit(ops.DIFFUSE_CLOSURE, node["Color"], ZERO, ZERO, weight)
+
+
+@closure("ShaderNodeBsdfSheen")
+def sheen(node: NodeInput, weight: Value) -> None:
+    """Sheen BSDF, microfibre or Ashikhmin (treated alike)."""
+    _normal(node)
+    if node.node.distribution != "MICROFIBER":
+        node.warn("an Ashikhmin sheen is treated as a microfibre sheen")
+    node.emit(ops.SHEEN_CLOSURE, node.pack(ONE, node["Roughness"]), node["Color"], ZERO, weight)
+
+
+@closure("ShaderNodeBsdfToon")
+def toon(node: NodeInput, weight: Value) -> None:
+    """Toon BSDF: diffuse or glossy with its colour, without the steps."""
+    node.warn("a Toon BSDF is treated as a plain diffuse or glossy one")
+    _normal(node)
+    if node.node.component == "GLOSSY":
+        node.emit(ops.GLOSSY_CLOSURE, node["Color"], node["Size"], ZERO, weight)
+    else:
+        node.emit(ops.DIFFUSE_CLOSURE, node["Color"], ZERO, ZERO, weight)
+
+
+@closure("ShaderNodeBsdfAnisotropic", "ShaderNodeBsdfGlossy")
+def glossy(node: NodeInput, weight: Value) -> None:
+    """Glossy BSDF."""
+    _normal(node)
+    node.emit(ops.GLOSSY_CLOSURE, node["Color"], node["Roughness"], ZERO, weight, p=_multiple(node))
+
+
+@closure("ShaderNodeBsdfMetallic")
+def metallic(node: NodeInput, weight: Value) -> None:
+    """Metallic BSDF: by base colour and edge tint (F82), or by the conductor's n and k."""
+    _normal(node)
+    base, edge = node["Base Color"], node["Edge Tint"]
+    if node.node.fresnel_type == "PHYSICAL_CONDUCTOR":
+        n, k = node["IOR"], node["Extinction"]
+        one = ONE
+        k2 = node.vector("MULTIPLY", k, k)
+        above = node.vector("SUBTRACT", n, one)
+        below = node.vector("ADD", n, one)
+        base = node.vector("DIVIDE", node.vector("MULTIPLY_ADD", above, above, k2), node.vector("MULTIPLY_ADD", below, below, k2))
+        edge = ONE
+    node.emit(ops.METAL_CLOSURE, base, node["Roughness"], edge, weight, p=_multiple(node))
+
+
+@closure("ShaderNodeBsdfGlass")
+def glass(node: NodeInput, weight: Value) -> None:
+    """Glass BSDF: straight through with its colour."""
+    node.warn("glass is treated as straight through, without refraction")
+    color = node["Color"]
+    node.emit(ops.GLASS_CLOSURE, color, node.pack(node["Roughness"], node["IOR"]), color, weight)
+
+
+@closure("ShaderNodeBsdfRefraction")
+def refraction(node: NodeInput, weight: Value) -> None:
+    """Refraction BSDF: straight through with its colour."""
+    node.warn("refraction is treated as straight through")
+    node.emit(ops.TRANSPARENT_CLOSURE, node["Color"], ZERO, ZERO, weight)
+
+
+@closure("ShaderNodeBsdfTransparent")
+def transparent(node: NodeInput, weight: Value) -> None:
+    """Transparent BSDF."""
+    node.emit(ops.TRANSPARENT_CLOSURE, node["Color"], ZERO, ZERO, weight)
+
+
+@closure("ShaderNodeEmission")
+def emission(node: NodeInput, weight: Value) -> None:
+    """Emission."""
+    color = node.multiply(node["Color"], node["Strength"])
+    if color != ZERO:
+        node.emit(ops.EMISSION_CLOSURE, color, ZERO, ZERO, weight)
+
+
+@closure("ShaderNodeMixShader")
+def mix_shader(node: NodeInput, weight: Value) -> None:
+    """Mix Shader: the factor's share of the second shader, the rest of the first."""
+    factor = node.clamp(node[0])
+    for socket, share in ((node.socket(1), node.complement(factor)), (node.socket(2), factor)):
+        node.scope.shade(socket, node.multiply(weight, share))
+
+
+@closure("ShaderNodeAddShader")
+def add_shader(node: NodeInput, weight: Value) -> None:
+    """Add Shader: both."""
+    node.scope.shade(node.socket(0), weight)
+    node.scope.shade(node.socket(1), weight)
+
+
+@closure("ShaderNodeHoldout")
+def holdout(node: NodeInput, weight: Value) -> None:
+    """Holdout: black."""
+    node.warn("a Holdout shows as black")
+
+
+@closure("ShaderNodeBsdfHair", "ShaderNodeBsdfHairPrincipled")
+def hair(node: NodeInput, weight: Value) -> None:
+    """Hair shaders on a surface: diffuse with their colour."""
+    node.warn("a hair shader is treated as diffuse with its colour")
+    node.emit(ops.DIFFUSE_CLOSURE, node["Color"] if node.has("Color") else scalar(0.5), ZERO, ZERO, weight)

@@ -1,0 +1,159 @@
+"""Vector and number nodes: Mapping, Math, Vector Math, Map Range, rotations, normals."""
+
+from __future__ import annotations
+
+import mathutils
+
+from ....core.surfaces import program as ops
+from ..builder import ONE, ZERO, Constant, Table, Value, scalar
+from ..registry import Unsupported, value
+from ..requests import TANGENT, UV, WORLD_NORMAL
+from ..tree import NodeInput
+
+
+@value("ShaderNodeMath")
+def math(node: NodeInput, output: str) -> Value:
+    """Math."""
+    operation = node.node.operation
+    result = node.math(operation, *(node[i] for i, s in enumerate(node.node.inputs) if s.enabled or operation == "COMPARE"))
+    return node.clamp(result) if node.node.use_clamp else result
+
+
+@value("ShaderNodeVectorMath")
+def vector_math(node: NodeInput, output: str) -> Value:
+    """Vector Math."""
+    operation = node.node.operation
+    if operation == "SCALE":
+        return node.vector("MULTIPLY", node[0], node["Scale"])
+    if operation == "REFRACT":
+        return node.vector("REFRACT", node[0], node[1], node["Scale"])
+    return node.vector(operation, *(node[i] for i in range(3) if node.node.inputs[i].enabled))
+
+
+@value("ShaderNodeMapping")
+def mapping(node: NodeInput, output: str) -> Value:
+    """Mapping, of the four types (Cycles: svm_mapping)."""
+    kind = node.node.vector_type
+    at, rotation, scale = node["Vector"], node["Rotation"], node["Scale"]
+    location = node["Location"] if kind in ("POINT", "TEXTURE") else ZERO
+    if all(isinstance(x, Constant) for x in (rotation, scale, location)) and kind != "NORMAL" and 0 not in scale.rgb:
+        return _mapping_matrix(node, kind, at, location, rotation, scale)
+    if kind == "TEXTURE":
+        turned = node.emit(ops.ROTATE_EULER, node.vector("SUBTRACT", at, location), rotation, p=1)
+        return node.vector("DIVIDE", turned, scale)
+    if kind == "NORMAL":
+        return node.vector("NORMALIZE", node.emit(ops.ROTATE_EULER, node.vector("DIVIDE", at, scale), rotation))
+    turned = node.emit(ops.ROTATE_EULER, node.vector("MULTIPLY", at, scale), rotation)
+    return node.vector("ADD", turned, location)
+
+
+def _mapping_matrix(node: NodeInput, kind: str, at: Value, location: Constant, rotation: Constant, scale: Constant) -> Value:
+    matrix = mathutils.Matrix.LocRotScale(mathutils.Vector(location.rgb), mathutils.Euler(rotation.rgb, "XYZ"), mathutils.Vector(scale.rgb))
+    if kind == "TEXTURE":
+        matrix.invert_safe()
+    if matrix == mathutils.Matrix.Identity(4):
+        return at
+    return node.emit(ops.MATRIX, at, Table(tuple(tuple(row) for row in matrix[:3])))
+
+
+@value("ShaderNodeVectorRotate")
+def vector_rotate(node: NodeInput, output: str) -> Value:
+    """Vector Rotate."""
+    kind, invert = node.node.rotation_type, node.node.invert
+    center = node["Center"]
+    at = node.vector("SUBTRACT", node["Vector"], center)
+    if kind == "EULER_XYZ":
+        turned = node.emit(ops.ROTATE_EULER, at, node["Rotation"], p=int(invert))
+    else:
+        axes = {"X_AXIS": Constant(1, 0, 0), "Y_AXIS": Constant(0, 1, 0), "Z_AXIS": Constant(0, 0, 1)}
+        axis = axes[kind] if kind in axes else node["Axis"]
+        angle = node["Angle"]
+        turned = node.emit(ops.ROTATE_AXIS, at, axis, node.math("SUBTRACT", ZERO, angle) if invert else angle)
+    return node.vector("ADD", turned, center)
+
+
+@value("ShaderNodeClamp")
+def clamp(node: NodeInput, output: str) -> Value:
+    """Clamp, between minimum and maximum or over a range whose ends may be swapped."""
+    low, high = node["Min"], node["Max"]
+    if node.node.clamp_type == "RANGE":
+        low, high = node.math("MINIMUM", low, high), node.math("MAXIMUM", low, high)
+    return node.clamp(node["Value"], low, high)
+
+
+@value("ShaderNodeMapRange")
+def map_range(node: NodeInput, output: str) -> Value:
+    """Map Range, of numbers and vectors."""
+    vectors = node.node.data_type == "FLOAT_VECTOR"
+    keys = ("Vector", "From_Min_FLOAT3", "From_Max_FLOAT3", "To_Min_FLOAT3", "To_Max_FLOAT3", "Steps_FLOAT3")
+    if not vectors:
+        keys = ("Value", "From Min", "From Max", "To Min", "To Max", "Steps")
+    at, from_min, from_max, to_min, to_max = (node[k] for k in keys[:5])
+    kind = node.node.interpolation_type
+    if not vectors and from_min == from_max:
+        return ZERO
+    t = node.vector("DIVIDE", node.vector("SUBTRACT", at, from_min), node.vector("SUBTRACT", from_max, from_min))
+    if kind == "STEPPED":
+        steps = node[keys[5]]
+        counted = node.vector("FLOOR", node.vector("MULTIPLY", t, node.vector("ADD", steps, ONE)))
+        t = node.vector("DIVIDE", counted, steps)
+    elif kind == "SMOOTHSTEP":
+        t = node.clamp(t)
+        t = node.vector("MULTIPLY", node.vector("MULTIPLY", t, t), node.vector("SUBTRACT", scalar(3), node.vector("ADD", t, t)))
+    elif kind == "SMOOTHERSTEP":
+        t = node.clamp(t)
+        inner = node.vector("MULTIPLY_ADD", t, node.vector("MULTIPLY_ADD", t, scalar(6), scalar(-15)), scalar(10))
+        t = node.vector("MULTIPLY", node.vector("MULTIPLY", node.vector("MULTIPLY", t, t), t), inner)
+    result = node.emit(ops.MIX, t, to_min, to_max)
+    if node.node.clamp and kind in ("LINEAR", "STEPPED"):
+        result = node.clamp(result, node.vector("MINIMUM", to_min, to_max), node.vector("MAXIMUM", to_min, to_max))
+    return result
+
+
+@value("ShaderNodeNormal")
+def normal(node: NodeInput, output: str) -> Value:
+    """Normal: a fixed direction, and its cosine with the input."""
+    direction = Constant(*node.node.outputs["Normal"].default_value)
+    direction = node.vector("NORMALIZE", direction)
+    if output == "Normal":
+        return direction
+    return node.vector("DOT_PRODUCT", direction, node.vector("NORMALIZE", node["Normal"]))
+
+
+@value("ShaderNodeNormalMap")
+def normal_map(node: NodeInput, output: str) -> Value:
+    """Normal Map: the shading normal in world space."""
+    space = node.node.space
+    surface = node.program.attribute(WORLD_NORMAL)
+    encoded = node.vector("SUBTRACT", node.vector("MULTIPLY", node["Color"], scalar(2)), ONE)
+    if space == "TANGENT":
+        uv = node.node.uv_map
+        tangent = node.program.attribute(TANGENT, uv)
+        bitangent = node.vector("MULTIPLY", node.vector("CROSS_PRODUCT", surface, tangent), node.splat(tangent, 3))
+        direction = node.vector("MULTIPLY", surface, node.splat(encoded, 2))
+        direction = node.vector("MULTIPLY_ADD", bitangent, node.splat(encoded, 1), direction)
+        direction = node.vector("MULTIPLY_ADD", tangent, node.splat(encoded, 0), direction)
+    elif space == "WORLD":
+        direction = encoded
+    else:
+        raise Unsupported(f"node '{node.node.name}' is a normal map in the space '{space}'")
+    direction = node.vector("NORMALIZE", direction)
+    strength = node.math("MAXIMUM", node["Strength"], ZERO)
+    if strength == ONE:
+        return direction
+    return node.vector("NORMALIZE", node.emit(ops.MIX, strength, surface, direction))
+
+
+@value("ShaderNodeBump")
+def bump(node: NodeInput, output: str) -> Value:
+    """Bump: left out; what it would have bumped stays."""
+    node.warn("bump mapping is left out")
+    return node["Normal"] if node.linked("Normal") else node.program.attribute(WORLD_NORMAL)
+
+
+@value("ShaderNodeTangent")
+def tangent(node: NodeInput, output: str) -> Value:
+    """Tangent of a UV map; it only steers anisotropy, which is left out."""
+    if node.node.direction_type == "UV_MAP":
+        return node.program.attribute(TANGENT, node.node.uv_map)
+    return node.program.attribute(UV)

@@ -1,0 +1,221 @@
+"""Walks a node tree: links, reroutes, muted nodes, node groups and the conversions between socket types."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from ...core.surfaces import program as ops
+from ...core.surfaces.arithmetic import SCALAR, VECTOR
+from ...core.surfaces.textures import TexturePool
+from . import registry
+from .builder import ONE, ZERO, Constant, Program, Value, scalar
+
+if TYPE_CHECKING:
+    import bpy
+
+_SCALARS = ("VALUE", "INT", "BOOLEAN")
+
+
+@dataclass
+class Context:
+    """What the node functions of one material share."""
+
+    material: bpy.types.Material
+    program: Program
+    textures: TexturePool
+    warnings: list[str]
+    memory: dict = field(default_factory=dict)
+
+    def warn(self, text: str) -> None:
+        """One line for the user, once for each material."""
+        line = f"Material '{self.material.name}': {text}"
+        if line not in self.warnings:
+            self.warnings.append(line)
+
+
+@dataclass(frozen=True)
+class Scope:
+    """A node tree, and where it is used: the group node and its scope, None for the material's own tree."""
+
+    context: Context
+    tree: bpy.types.NodeTree
+    parent: Scope | None = None
+    group: bpy.types.Node | None = None
+
+    @property
+    def path(self) -> tuple:
+        """Names of the group nodes from the material's tree to this one."""
+        return () if self.parent is None else (*self.parent.path, self.group.name)
+
+    def source(self, socket: bpy.types.NodeSocket) -> tuple[Scope, bpy.types.NodeSocket] | None:
+        """The output socket that feeds an input, past reroutes, muted nodes and group borders; None if unlinked.
+
+        An unlinked input of a group stands for itself: then the returned socket is an input.
+        """
+        link = next((k for k in socket.links if k.is_valid and not k.is_muted), None)
+        if link is None:
+            return None
+        node, output = link.from_node, link.from_socket
+        if node.type == "REROUTE":
+            return self.source(node.inputs[0])
+        if node.mute:
+            inner = next((k.from_socket for k in node.internal_links if k.to_socket == output), None)
+            if inner is None:
+                return None
+            return self.source(inner) or (self, inner)
+        if node.type == "GROUP_INPUT":
+            if self.parent is None:
+                return None
+            outer = next((s for s in self.group.inputs if s.identifier == output.identifier), None)
+            if outer is None:
+                return None
+            return self.parent.source(outer) or (self.parent, outer)
+        if node.type == "GROUP" and node.node_tree is not None:
+            inside = Scope(self.context, node.node_tree, self, node)
+            end = next((n for n in node.node_tree.nodes if n.type == "GROUP_OUTPUT" and n.is_active_output), None)
+            inner = end and next((s for s in end.inputs if s.identifier == output.identifier), None)
+            if inner is None:
+                return None
+            return inside.source(inner) or (inside, inner)
+        return self, output
+
+    def read(self, socket: bpy.types.NodeSocket) -> Value:
+        """Value of an input socket, converted to the socket's type."""
+        found = self.source(socket)
+        if found is None:
+            return default(socket)
+        scope, origin = found
+        result = default(origin) if not origin.is_output else scope.output(origin)
+        return self._converted(result, origin.type, socket.type)
+
+    def output(self, socket: bpy.types.NodeSocket) -> Value:
+        """Value of an output socket; each is computed once."""
+        node = socket.node
+        key = (self.path, node.name, socket.identifier)
+        memory = self.context.memory
+        if key not in memory:
+            function = registry.VALUES.get(node.bl_idname)
+            if function is None:
+                raise registry.Unsupported(f"node '{node.name}' ({node.bl_label}) is not known")
+            memory[key] = function(NodeInput(self, node), socket.identifier)
+        return memory[key]
+
+    def _converted(self, value: Value, source: str, target: str) -> Value:
+        emit = self.context.program.emit
+        if target in _SCALARS and source == "RGBA":
+            value = emit(ops.LUMINANCE, value)
+        elif target in _SCALARS and source == "VECTOR":
+            value = emit(ops.AVERAGE, value)
+        if target == "INT" and source not in ("INT", "BOOLEAN"):
+            value = emit(ops.MATH, value, p=SCALAR["TRUNC"])
+        return value
+
+    def shade(self, socket: bpy.types.NodeSocket, weight: Value) -> None:
+        """Adds the closures that feed a shader socket."""
+        found = self.source(socket)
+        if found is None or weight == ZERO:
+            return
+        scope, origin = found
+        if not origin.is_output:
+            return
+        if origin.type != "SHADER":
+            # Blender converts a colour in a shader socket to emission.
+            color = scope.output(origin)
+            self.context.program.emit(ops.EMISSION_CLOSURE, color, ZERO, ZERO, weight)
+            return
+        node = origin.node
+        function = registry.CLOSURES.get(node.bl_idname)
+        if function is None:
+            raise registry.Unsupported(f"shader '{node.name}' ({node.bl_label}) is not known")
+        function(NodeInput(scope, node), weight)
+
+
+@dataclass(frozen=True)
+class NodeInput:
+    """A node as the functions of `registry` see it: its inputs as values, and short forms of instructions."""
+
+    scope: Scope
+    node: bpy.types.Node
+
+    @property
+    def context(self) -> Context:
+        return self.scope.context
+
+    @property
+    def program(self) -> Program:
+        return self.scope.context.program
+
+    def socket(self, key: str | int) -> bpy.types.NodeSocket:
+        """Input by identifier, else by name, or by index."""
+        inputs = self.node.inputs
+        if isinstance(key, int):
+            return inputs[key]
+        return next((s for s in inputs if s.identifier == key), None) or inputs[key]
+
+    def has(self, key: str) -> bool:
+        """Whether this version of Blender has the input."""
+        return any(s.identifier == key or s.name == key for s in self.node.inputs)
+
+    def linked(self, key: str | int) -> bool:
+        """Whether something feeds the input."""
+        return self.scope.source(self.socket(key)) is not None
+
+    def __getitem__(self, key: str | int) -> Value:
+        return self.scope.read(self.socket(key))
+
+    def warn(self, text: str) -> None:
+        """A warning that names the node too."""
+        self.context.warn(f"node '{self.node.name}': {text}")
+
+    def emit(self, op: int, *operands, p: int = 0) -> Value:
+        return self.program.emit(op, *operands, p=p)
+
+    def math(self, kind: str, *operands: Value) -> Value:
+        """Math node `kind` on scalars."""
+        return self.emit(ops.MATH, *operands, p=SCALAR[kind])
+
+    def math_rgb(self, kind: str, *operands: Value) -> Value:
+        """Math node `kind` on each component."""
+        parts = [self.math(kind, *(self.splat(o, c) for o in operands)) for c in range(3)]
+        return self.pack(*parts, ONE)
+
+    def vector(self, kind: str, *operands: Value) -> Value:
+        """Vector Math node `kind`."""
+        return self.emit(ops.VECTOR_MATH, *operands, p=VECTOR[kind])
+
+    def multiply(self, a: Value, b: Value) -> Value:
+        """a b per component; nothing is computed where one is 0 or 1."""
+        for x, y in ((a, b), (b, a)):
+            if isinstance(x, Constant) and x.rgb == ONE.rgb:
+                return y
+            if isinstance(x, Constant) and x.rgb == ZERO.rgb:
+                return ZERO
+        return self.vector("MULTIPLY", a, b)
+
+    def complement(self, a: Value) -> Value:
+        """1 - a per component."""
+        return self.vector("SUBTRACT", ONE, a)
+
+    def clamp(self, a: Value, low: Value = ZERO, high: Value = ONE) -> Value:
+        """a between low and high per component."""
+        return self.emit(ops.CLAMP, a, low, high)
+
+    def splat(self, a: Value, component: int) -> Value:
+        """One component of a as a scalar."""
+        return self.emit(ops.SPLAT, a, p=component)
+
+    def pack(self, *scalars: Value) -> Value:
+        """Up to four scalars in one row."""
+        return self.emit(ops.PACK, *scalars, *[ZERO] * (4 - len(scalars)))
+
+
+def default(socket: bpy.types.NodeSocket) -> Constant:
+    """The value an unlinked socket shows."""
+    value = getattr(socket, "default_value", 0.0)
+    if isinstance(value, (int, float, bool)):
+        return scalar(value)
+    if isinstance(value, str) or not hasattr(value, "__len__"):
+        return ZERO
+    components = [float(c) for c in value][:4]
+    return Constant(*components, *[0.0] * (3 - len(components)))
