@@ -45,15 +45,11 @@ def render_frame(scene: bpy.types.Scene, view: View, settings: RenderSettings, t
     with CompileTimer() as compiling:
         begin = perf_counter()
         arrays = extract(scene, camera=view.camera, size=view.size, frame=view.frame)
-        extracted = perf_counter()
-        with terminal.progress() as progress:
-            result = render(arrays, settings, progress)
-        end = perf_counter()
-    jit = compiling.seconds
-    stats = dict(result.stats)
-    stats["seconds"] = {"extract": extracted - begin, **stats["seconds"], "jit": jit}
-    stats["seconds_total"] = max(0.0, end - begin - jit)
-    return Frame(arrays, result.layers, stats)
+        seconds = perf_counter() - begin - compiling.seconds
+    with terminal.progress() as progress:
+        result = render(arrays, settings, progress, extraction_seconds=seconds)
+    result.stats["seconds"]["jit"] += compiling.seconds
+    return Frame(arrays, result.layers, result.stats)
 
 
 def numbered(path: Path, frame: int) -> Path:
