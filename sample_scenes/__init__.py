@@ -6,6 +6,7 @@ from importlib import import_module
 
 DESCRIPTIONS = {
     "cornell": "The Cornell box with its measured dimensions and reflectances: two blocks, one lamp.",
+    "atrium": "A two-storey colonnade round a court under sun and open sky: arches, curtains, palms.",
     "furnace": "A closed sphere of one albedo and one emission, whose light is known in closed form.",
 }
 NAMES: tuple[str, ...] = tuple(DESCRIPTIONS)

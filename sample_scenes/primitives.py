@@ -206,11 +206,11 @@ def lathe(profile: np.ndarray, segments: int) -> Shape:
 
 
 def sweep(profile: np.ndarray, path: np.ndarray, normal: Sequence[float] = (0, 0, 1), closed: bool = False) -> Shape:
-    """A closed counter-clockwise profile (N, 2) along a planar path (M, 3), mitred at its corners.
+    """A counter-clockwise profile (N, 2) along a planar path (M, 3), mitred at its corners.
 
     The profile's first axis points to the right of the path seen against `normal` (the plane's), its second along `normal`.
     """
-    profile, path, normal = np.asarray(profile, float), np.asarray(path, float), np.asarray(normal, float)
+    profile, path, normal = np.asarray(profile, float)[::-1], np.asarray(path, float), np.asarray(normal, float)
     forward = (np.roll(path, -1, axis=0) if closed else np.concatenate([path[1:], path[-1:]])) - path
     if not closed:
         forward[-1] = forward[-2]

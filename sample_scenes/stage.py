@@ -21,6 +21,10 @@ class Detail:
         """The number of subdivisions of a curve."""
         return full if self.full else low
 
+    def chamfer(self, width: float) -> float:
+        """The chamfer of an edge (m): none in a light scene."""
+        return width if self.full else 0.0
+
 
 def empty_scene(width: int = 960, height: int = 540, exposure: float = 0.0):
     """The only scene of a new, empty file, set up for Cycles and the Standard view transform.
