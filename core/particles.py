@@ -19,7 +19,7 @@ import numpy as np
 
 from .jit import kernel
 from .lamps.emission import emit
-from .rays.offsets import hit_point, offset_origin
+from .rays.offsets import hit_point, offset_origin, shadow_segment
 from .rays.packet import T_FAR, WIDTH, disable_ray, hit_triangle, hit_u, hit_v, is_occluded, new_packet, set_ray
 from .rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
 from .sampling.hashing import uniform
@@ -261,13 +261,11 @@ def _contributions(scene, vpls, begin, end, points, weights, g_max, rays_each, s
             while k + 1 < n and partial < target:
                 k += 1
                 partial += light[k]
-            dx, dy, dz = x - points.position[k, 0], y - points.position[k, 1], z - points.position[k, 2]
-            ox, oy, oz = offset_origin(
+            ox, oy, oz, dx, dy, dz = shadow_segment(
                 points.position[k, 0], points.position[k, 1], points.position[k, 2],
-                points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz,
+                points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], x, y, z, nx, ny, nz, vpls.error[i],
             )  # fmt: skip
-            ex, ey, ez = offset_origin(x, y, z, nx, ny, nz, vpls.error[i], -dx, -dy, -dz)
-            set_ray(packet, j, ox, oy, oz, ex - ox, ey - oy, ez - oz, np.float32(0.0), np.float32(1.0), DIFFUSE)
+            set_ray(packet, j, ox, oy, oz, dx, dy, dz, np.float32(0.0), np.float32(1.0), DIFFUSE)
         occluded_packet(scene.rays, OPAQUE, packet, rays_each)
         traced += rays_each
         visible = 0

@@ -11,8 +11,8 @@ import numpy as np
 
 from ..jit import kernel
 from ..particles import Vpls
-from ..rays.offsets import hit_point, offset_origin
-from ..rays.packet import WIDTH, disable_ray, hit_triangle, hit_u, hit_v, is_occluded, new_packet, set_ray
+from ..rays.offsets import hit_point, offset_origin, shadow_segment
+from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_triangle, hit_u, hit_v, is_occluded, new_packet, set_ray
 from ..rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
 from ..sampling.hashing import uniform
 from ..sampling.maps import cosine_hemisphere, to_world
@@ -81,10 +81,9 @@ def _shade(scene, vpls, points, begin, end, g_max, visibility, cutouts, out):
                 for lane in range(lanes):
                     k = begin + lane_of[lane]
                     px, py, pz = points.position[k, 0], points.position[k, 1], points.position[k, 2]
-                    dx, dy, dz = x - px, y - py, z - pz
-                    ox, oy, oz = offset_origin(px, py, pz, points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz)
-                    ex, ey, ez = offset_origin(x, y, z, nx, ny, nz, vpls.error[j], -dx, -dy, -dz)
-                    set_ray(packet, lane, ox, oy, oz, ex - ox, ey - oy, ez - oz, _0, _1, DIFFUSE)
+                    gx, gy, gz = points.ng[k, 0], points.ng[k, 1], points.ng[k, 2]
+                    ox, oy, oz, dx, dy, dz = shadow_segment(px, py, pz, gx, gy, gz, points.error[k], x, y, z, nx, ny, nz, vpls.error[j])
+                    set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
                 occluded_packet(scene.rays, OPAQUE, packet, lanes)
                 rays += lanes
             for lane in range(lanes):
@@ -96,12 +95,11 @@ def _shade(scene, vpls, points, begin, end, g_max, visibility, cutouts, out):
                 if visibility and cutouts:
                     p = begin + k
                     px, py, pz = points.position[p, 0], points.position[p, 1], points.position[p, 2]
-                    dx, dy, dz = x - px, y - py, z - pz
-                    ox, oy, oz = offset_origin(px, py, pz, points.ng[p, 0], points.ng[p, 1], points.ng[p, 2], points.error[p], dx, dy, dz)
-                    ex, ey, ez = offset_origin(x, y, z, nx, ny, nz, vpls.error[j], -dx, -dy, -dz)
+                    gx, gy, gz = points.ng[p, 0], points.ng[p, 1], points.ng[p, 2]
+                    ox, oy, oz, dx, dy, dz = shadow_segment(px, py, pz, gx, gy, gz, points.error[p], x, y, z, nx, ny, nz, vpls.error[j])
                     tr, tg, tb = transmittance1(
                         scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface,
-                        ox, oy, oz, ex - ox, ey - oy, ez - oz, _0, _1, DIFFUSE,
+                        ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE,
                     )  # fmt: skip
                 part[k, 0] += f * r * tr
                 part[k, 1] += f * gr * tg
@@ -150,7 +148,7 @@ def _compensate(scene, points, begin, end, g_max, samples, bounces, seed, out):
             for lane in range(lanes):
                 found[lane] = hit_triangle(packet, lane)
                 hit_uv[lane, 0], hit_uv[lane, 1] = hit_u(packet, lane), hit_v(packet, lane)
-                if packet.f[8 * WIDTH + lane] < 0:
+                if packet.f[T_FAR * WIDTH + lane] < 0:
                     found[lane] = -1
             for lane in range(lanes):
                 triangle = found[lane]

@@ -186,7 +186,7 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, si
                 wr, wg, wb = weight[lane, s, 0] * share, weight[lane, s, 1] * share, weight[lane, s, 2] * share
                 group_of[s] = -1
                 if triangle < 0:
-                    er, eg, eb = world_radiance(world, dx, dy, dz, CAMERA)
+                    er, eg, eb = world_radiance(world, dx, dy, dz)
                     out[3] += wr * er
                     out[4] += wg * eg
                     out[5] += wb * eb
