@@ -26,8 +26,8 @@ from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
 from .scene import DIFFUSE, SHADOW, TRANSPARENT
-from .surfaces.normals import shading_normal
 from .surfaces.layout import SURFACE, TRANSPARENCY, total_albedo_average
+from .surfaces.normals import shading_normal
 from .surfaces.program import MEAN_VIEW, evaluate, new_registers
 from .threads import Progress, run_chunks
 from .transport import Transport
@@ -85,6 +85,7 @@ def _trace_particles(scene, begin, end, survivors, seed, vpls):
     direction = np.empty((WIDTH, 3), np.float32)
     flux = np.empty((WIDTH, 3), np.float32)
     emitter = np.empty(WIDTH, np.int32)
+    near = np.empty(WIDTH, np.float32)
     flying = np.empty(WIDTH, np.bool_)
     n = 0
     n_rays = 0
@@ -94,8 +95,8 @@ def _trace_particles(scene, begin, end, survivors, seed, vpls):
         lanes = min(WIDTH, end - base)
         for lane in range(lanes):
             i = base + lane
-            emitter[lane], ox, oy, oz, dx, dy, dz, r, g, b = emit(
-                scene.emitters, sobol(i, 0, seed), sobol(i, 1, seed), sobol(i, 2, seed), sobol(i, 3, seed), sobol(i, 4, seed)
+            emitter[lane], ox, oy, oz, dx, dy, dz, r, g, b, near[lane] = emit(
+                scene.emitters, rows, surface, sobol(i, 0, seed), sobol(i, 1, seed), sobol(i, 2, seed), sobol(i, 3, seed), sobol(i, 4, seed)
             )
             origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
             direction[lane, 0], direction[lane, 1], direction[lane, 2] = dx, dy, dz
@@ -129,10 +130,12 @@ def _trace_particles(scene, begin, end, survivors, seed, vpls):
                         flying[lane] = False
                         disable_ray(packet, lane)
                         continue
-                    u, v = hit_u(packet, lane), hit_v(packet, lane)
+                    u, v, t = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
                     dx, dy, dz = direction[lane, 0], direction[lane, 1], direction[lane, 2]
                     x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
-                    evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
+                    evaluate(
+                        scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface
+                    )
                     through = False
                     if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
                         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
@@ -158,7 +161,7 @@ def _trace_particles(scene, begin, end, survivors, seed, vpls):
                         landed_any = True
                         continue
                     disable_ray(packet, lane)
-                    if not seen & DIFFUSE:
+                    if not seen & DIFFUSE or (bounce == 0 and passed == 0 and t < near[lane]):
                         flying[lane] = False
                         continue
                     sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)

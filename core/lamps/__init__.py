@@ -1,0 +1,12 @@
+"""Lamps: everything that emits light, as tables, and the two ways of sampling it.
+
+`build` makes the tables from a scene.  `sample` aims from a shading point at one emitter, `tree` chooses among many,
+`direct` sums direct light with shadow rays.  `emission` sends particles out.
+"""
+
+from .build import build_emitters
+from .direct import direct_irradiance
+from .tables import Emitters
+from .world import world_tables
+
+__all__ = ["Emitters", "build_emitters", "direct_irradiance", "world_tables"]

@@ -1,0 +1,193 @@
+"""From a scene to the tables of its emitters."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..sampling.discrete import cumulative
+from ..sampling.sequences import r2_points
+from ..scene import AREA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, POINT, SPOT, SUN, Scene
+from ..surfaces.batch import evaluate_batch
+from ..surfaces.layout import EMISSION
+from . import tree_build as tb
+from .tables import TRIANGLE, WORLD, Emitters, LampTable, MeshTable
+from .world import no_world, projected_box_area, world_table
+
+# Up to this many emitters near the scene are all sampled at every point; more of them go into the tree.
+FEW = 8
+# Share of a material's mean radiance that its darkest textured triangles are drawn by: a few samples can miss a spark.
+_DEFENSIVE = 0.01
+_TEXTURE_SAMPLES = 16
+
+
+def _box(scene: Scene) -> np.ndarray:
+    """(2, 3) float32 bounds of the triangles, a little enlarged so that nothing lies on its faces."""
+    used = scene.geometry.vertices[np.unique(scene.geometry.triangles)].astype(np.float64)
+    used = used[np.isfinite(used).all(1)]
+    if not len(used):
+        return np.array([[-1, -1, -1], [1, 1, 1]], np.float32)
+    low, high = used.min(0), used.max(0)
+    margin = 1e-4 * np.linalg.norm(high - low) + 1e-5
+    return np.stack([low - margin, high + margin]).astype(np.float32)
+
+
+def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
+    """LampTable of the lamps that shine, with kind, radiance, flux, cast_shadow and bounds of each."""
+    lamps = scene.lamps
+    f = np.float32
+    emission = lamps.emission.astype(np.float64).reshape(-1, 3)
+    finite = np.isfinite(emission).all(1)
+    for i in np.flatnonzero(~finite):
+        scene.warnings.append(f"Lamp '{lamps.names[i]}' has no finite emission and is left out: give it a size or spread above zero.")
+    size_ok = (lamps.kind != AREA) | (lamps.size.reshape(-1, 2) > 0).all(1)
+    keep = np.flatnonzero(finite & (emission > 0).any(1) & ((lamps.visibility & ray_kind) != 0) & size_ok).astype(np.int32)
+    kind, emission = lamps.kind[keep], emission[keep]
+    axes, radius = lamps.axes.reshape(-1, 3, 3)[keep].astype(f), lamps.radius[keep].astype(np.float64)
+    angle, blend = lamps.angle[keep].astype(np.float64), lamps.blend[keep].astype(np.float64)
+    size, position = lamps.size.reshape(-1, 2)[keep].astype(np.float64), lamps.position.reshape(-1, 3)[keep].astype(np.float64)
+    soft, ellipse = lamps.soft_falloff[keep], (lamps.shape[keep] == ELLIPSE).astype(np.uint8)
+    sphere, sun, area = (kind == POINT) | (kind == SPOT), kind == SUN, kind == AREA
+    half = 0.5 * angle
+
+    # Cycles: smoothstep((cos - cos_outer) / ((1 - cos_outer) blend)).
+    spot = kind == SPOT
+    cos_outer = np.where(spot, np.cos(half).astype(f), -2.0).astype(np.float64)
+    cos_inner = np.where(spot, cos_outer + (1 - cos_outer) * np.clip(blend, 0, 1), -2.0).astype(f).astype(np.float64)
+    solid_cosine = np.where(spot, (1 - cos_inner) + 0.5 * (cos_inner - cos_outer), 2.0)
+    half = np.where(area, np.clip(half, 1e-4, np.pi / 2), half)
+    full = half >= np.pi / 2 - 1e-6
+    tangent = np.where(full, np.inf, np.tan(np.where(full, 0.1, half)))
+
+    scale = np.ones(len(keep))
+    with np.errstate(divide="ignore"):
+        scale = np.where(sphere & (radius > 0), 1 / (np.pi * radius**2), scale)
+        scale = np.where(sun & (half > 0), 1 / (np.pi * np.sin(half) ** 2), scale)
+    shape_area = np.prod(size, 1) * np.where(ellipse, np.pi / 4, 1.0)
+    # Integral of cos (1 - tan / tan_half) over the cone of an area lamp's spread.
+    spread_cosine = np.where(full, np.pi, np.pi * (1 - half / tangent))
+    flux_factor = np.where(sphere, 2 * np.pi * solid_cosine, np.where(area, shape_area * spread_cosine, 0.0))
+    if sun.any():
+        flux_factor[sun] = projected_box_area(box, axes[sun, 2])
+
+    bounds = np.zeros((len(keep), tb.COLUMNS))
+    reach = np.where(sphere[:, None], radius[:, None], 0.5 * (np.abs(axes[:, 0]) * size[:, :1] + np.abs(axes[:, 1]) * size[:, 1:]))
+    bounds[:, tb.LOWER : tb.LOWER + 3], bounds[:, tb.UPPER : tb.UPPER + 3] = position - reach, position + reach
+    bounds[:, tb.AXIS : tb.AXIS + 3] = -axes[:, 2]
+    # The light of a spot with a radius leaves around the axis from anywhere on the sphere: its cone alone bounds it.
+    bounds[:, tb.COS_O] = np.where(area | spot, 1.0, -1.0)
+    bounds[:, tb.COS_E] = np.where(area, np.where(full, 0.0, np.cos(half)), np.where(spot, cos_outer, 0.0))
+    bounds[:, tb.ENERGY] = emission.mean(1) * np.where(area, shape_area, 1.0)
+
+    table = LampTable(
+        source=keep,
+        position=position.astype(f),
+        axes=axes,
+        radius=radius.astype(f),
+        soft=soft,
+        cos_outer=cos_outer.astype(f),
+        cos_inner=cos_inner.astype(f),
+        one_minus_cos=np.where(sun, 2 * np.sin(0.5 * half) ** 2, 0).astype(f),
+        size=size.astype(f),
+        ellipse=ellipse,
+        half_spread=np.where(area, half, np.pi / 2).astype(f),
+        tan_half_spread=np.where(area, tangent, np.inf).astype(f),
+    )
+    return table, kind, emission * scale[:, None], emission * flux_factor[:, None], lamps.cast_shadow[keep], bounds
+
+
+def _textured_means(scene: Scene, triangle: np.ndarray, area: np.ndarray, threads: int) -> np.ndarray:
+    """(M, 3) mean radiance of textured triangles by a few fixed samples, never far below their material's mean."""
+    k = _TEXTURE_SAMPLES
+    points = r2_points(0, k, 0)
+    fold = points.sum(1) > 1
+    points[fold] = 1 - points[fold]
+    u, v = np.tile(points.T, (1, len(triangle)))
+    sides = np.tile(np.where(np.arange(k) % 2, 0.7, -0.7), len(triangle))
+    g = scene.geometry
+    surface = evaluate_batch(scene.materials.tables, g.material, g.attributes, np.repeat(triangle, k), u, v, sides, threads)
+    mean = surface[:, EMISSION : EMISSION + 3].reshape(-1, k, 3).astype(np.float64).mean(1)
+    material = g.material[triangle]
+    weight = np.bincount(material, area)
+    for channel in range(3):
+        overall = np.bincount(material, mean[:, channel] * area) / np.maximum(weight, 1e-30)
+        mean[:, channel] = np.maximum(mean[:, channel], _DEFENSIVE * overall[material])
+    return mean
+
+
+def _mesh(scene: Scene, ray_kind: int, threads: int):
+    """MeshTable of the triangles that shine, with radiance, flux and bounds of each."""
+    g, tables = scene.geometry, scene.materials.tables
+    f = np.float32
+    emissive = np.flatnonzero(tables.flags & EMISSIVE)
+    triangle = np.flatnonzero(np.isin(g.material, emissive) & ((g.object_visibility[g.object] & ray_kind) != 0)).astype(np.int32)
+    corners = g.vertices[g.triangles[triangle]].astype(np.float64)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = 0.5 * np.linalg.norm(cross, axis=1)
+    valid = np.isfinite(area) & (area > 0)
+    triangle, corners, cross, area = triangle[valid], corners[valid], cross[valid], area[valid]
+    material = g.material[triangle]
+    textured = (tables.flags[material] & CONSTANT) == 0
+    radiance = np.zeros((len(triangle), 3))
+    radiance[~textured] = tables.constant[material[~textured], EMISSION : EMISSION + 3]
+    if textured.any():
+        radiance[textured] = _textured_means(scene, triangle[textured], area[textured], threads)
+    shining = (radiance > 0).any(1)
+    triangle, corners, cross, area, material = triangle[shining], corners[shining], cross[shining], area[shining], material[shining]
+    radiance, textured = radiance[shining], textured[shining]
+    normal = cross / (2 * area)[:, None]
+
+    bounds = np.zeros((len(triangle), tb.COLUMNS))
+    bounds[:, tb.LOWER : tb.LOWER + 3], bounds[:, tb.UPPER : tb.UPPER + 3] = corners.min(1), corners.max(1)
+    bounds[:, tb.AXIS : tb.AXIS + 3] = normal
+    bounds[:, tb.COS_O], bounds[:, tb.TWO_SIDED] = 1.0, 1.0
+    bounds[:, tb.ENERGY] = radiance.mean(1) * area
+    table = MeshTable(triangle, corners.astype(f), normal.astype(f), area.astype(f), material, textured.astype(np.uint8))
+    return table, radiance, radiance * (2 * np.pi * area)[:, None], bounds
+
+
+def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0) -> Emitters:
+    """Tables of everything in the scene that emits light towards receivers hit by rays of `ray_kind`.
+
+    Lamps, world and objects that are not visible to such rays, and lamps without power, are left out; a lamp
+    whose emission is not finite is left out with a warning.
+    """
+    f = np.float32
+    box = _box(scene)
+    lamps, kind, radiance, flux, shadow, bounds = _lamps(scene, ray_kind, box)
+    mesh, mesh_radiance, mesh_flux, mesh_bounds = _mesh(scene, ray_kind, threads)
+    world = no_world()
+    parts = [(kind, radiance, flux, shadow, bounds)]
+    if scene.world.visibility & ray_kind and (scene.world.radiance > 0).any():
+        world, mean, world_flux = world_table(scene.world.radiance, box)
+        parts.append((np.array([WORLD]), mean[None], world_flux[None], np.ones(1), np.zeros((1, tb.COLUMNS))))
+    m = len(mesh_radiance)
+    parts.append((np.full(m, TRIANGLE), mesh_radiance, mesh_flux, np.ones(m), mesh_bounds))
+    kind, radiance, flux, shadow, bounds = (np.concatenate(columns) for columns in zip(*parts))
+
+    distant = np.flatnonzero((kind == SUN) | (kind == WORLD))
+    analytic = np.flatnonzero((kind != SUN) & (kind < WORLD))
+    triangles = np.flatnonzero(kind == TRIANGLE)
+    if len(analytic) + len(triangles) <= FEW:
+        single, members = np.concatenate([analytic, triangles]), np.zeros(0, np.int64)
+    elif len(analytic) <= FEW:
+        single, members = analytic, triangles
+    else:
+        single, members = np.zeros(0, np.int64), np.concatenate([analytic, triangles])
+    groups = np.concatenate([single, distant, [-1] if len(members) else []])
+    return Emitters(
+        kind=kind.astype(np.int32),
+        radiance=radiance.astype(f),
+        flux=flux,
+        cast_shadow=shadow.astype(np.uint8),
+        lamps=lamps,
+        world=world,
+        mesh=mesh,
+        tree=tb.light_tree(bounds, members),
+        groups=groups.astype(np.int32),
+        emission_cdf=cumulative(flux.mean(1), np.float64),
+        box=box,
+        vertices=scene.geometry.vertices,
+        triangles=scene.geometry.triangles,
+        attributes=scene.geometry.attributes,
+        materials=scene.materials.tables,
+    )

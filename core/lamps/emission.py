@@ -1,0 +1,206 @@
+"""Particles that leave the emitters: the same light as `sample`, followed the other way.
+
+The flux that the particles carry through any surface element is, on average, the irradiance that direct light
+finds there, for every kind of lamp.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..jit import kernel
+from ..rays.offsets import hit_point, offset_origin
+from ..sampling.discrete import sample_cdf
+from ..sampling.maps import concentric_disk, cosine_hemisphere, to_world, uniform_cone, uniform_sphere, uniform_triangle
+from ..scene import AREA, SPOT, SUN
+from ..surfaces.layout import EMISSION
+from ..surfaces.program import evaluate
+from .tables import TRIANGLE, WORLD
+from .world import emit_world
+
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+_2 = np.float32(2.0)
+_HALF = np.float32(0.5)
+_PI = np.float32(math.pi)
+_2PI = np.float32(2 * math.pi)
+
+
+@kernel(fast=False)
+def _spot_one_minus_cos(outer, inner, u):
+    """1 - cosine off the axis with density ~ a spot's attenuation: 1 above `inner`, smoothstep down to `outer`."""
+    full, edge = 1.0 - inner, 0.5 * (inner - outer)
+    target = u * (full + edge)
+    if target < full or edge <= 0.0:
+        return target
+    # The integral of smoothstep, normalised, is x^3 (2 - x) = s: safeguarded Newton.
+    s = 1.0 - (target - full) / edge
+    low, high, x = 0.0, 1.0, 0.5
+    for _ in range(40):
+        f = x * x * x * (2.0 - x) - s
+        if f > 0.0:
+            high = x
+        else:
+            low = x
+        slope = x * x * (6.0 - 4.0 * x)
+        step = x - f / slope if slope > 1e-12 else low
+        step = step if low < step < high else 0.5 * (low + high)
+        if abs(step - x) < 1e-9:
+            break
+        x = step
+    return full + (1.0 - x) * (inner - outer)
+
+
+@kernel(fast=False)
+def _spread_angle(half, u):
+    """Angle off the axis with density ~ cos (1 - tan / tan(half)) sin, the light of an area lamp with spread."""
+    cotangent = math.cos(half) / math.sin(half)
+    total = 1.0 - half * cotangent
+    low, high = 0.0, half
+    x = half * 0.5
+    for _ in range(60):
+        s, c = math.sin(x), math.cos(x)
+        f = s * s - (x - s * c) * cotangent - u * total
+        if f > 0.0:
+            high = x
+        else:
+            low = x
+        slope = 2.0 * s * (c - s * cotangent)
+        step = x - f / slope if slope > 1e-12 else low
+        step = step if low < step < high else 0.5 * (low + high)
+        if abs(step - x) < 1e-9:
+            break
+        x = step
+    return x
+
+
+@kernel
+def _box_entry(box, dx, dy, dz, u1, u2):
+    """Where a ray of direction d enters the box, uniform over the box's shadow -> (x, y, z, shadow's area)."""
+    sx, sy, sz = box[1, 0] - box[0, 0], box[1, 1] - box[0, 1], box[1, 2] - box[0, 2]
+    ax, ay, az = abs(dx) * sy * sz, abs(dy) * sz * sx, abs(dz) * sx * sy
+    area = ax + ay + az
+    u = u1 * area
+    if u < ax:
+        x = box[0, 0] if dx > _0 else box[1, 0]
+        return x, box[0, 1] + sy * min(u / ax, _1), box[0, 2] + sz * u2, area
+    u -= ax
+    if u < ay:
+        y = box[0, 1] if dy > _0 else box[1, 1]
+        return box[0, 0] + sx * min(u / ay, _1), y, box[0, 2] + sz * u2, area
+    u -= ay
+    z = box[0, 2] if dz > _0 else box[1, 2]
+    return box[0, 0] + sx * min(u / max(az, np.float32(1e-30)), _1), box[0, 1] + sy * u2, z, area
+
+
+@kernel
+def _emit_point(lamps, i, spot, u1, u2, u3, u4):
+    """Point and spot lamps -> (origin, direction, distance before which the particle does not count).
+
+    All lines of one direction pass a disk of the lamp's radius.  Of a sphere they start on its surface.  A soft
+    lamp is a disk that faces the point it lights: a point at distance d from the lamp sees a line that passes the
+    centre at distance h only if 1/h^2 > 1/r^2 + 1/d^2, so the line carries light from h^2 / sqrt(r^2 - h^2) on.
+    """
+    ax, ay, az = -lamps.axes[i, 2, 0], -lamps.axes[i, 2, 1], -lamps.axes[i, 2, 2]
+    if spot:
+        h = _spot_one_minus_cos(np.float64(lamps.cos_outer[i]), np.float64(lamps.cos_inner[i]), np.float64(u1))
+        sine, phi = np.float32(math.sqrt(h * (2.0 - h))), _2PI * u2
+        dx, dy, dz = to_world(sine * np.float32(math.cos(phi)), sine * np.float32(math.sin(phi)), np.float32(1.0 - h), ax, ay, az)
+    else:
+        dx, dy, dz = uniform_sphere(u1, u2)
+    x, y, z = lamps.position[i, 0], lamps.position[i, 1], lamps.position[i, 2]
+    near = _0
+    radius = lamps.radius[i]
+    if radius > _0:
+        a, b = concentric_disk(u3, u4)
+        rest = radius * np.float32(math.sqrt(max(np.float32(1e-12), _1 - a * a - b * b)))
+        h2 = radius * radius * (a * a + b * b)
+        forward = _0
+        if lamps.soft[i]:
+            near = h2 / rest
+        else:
+            forward = rest
+        hx, hy, hz = to_world(a * radius, b * radius, forward, dx, dy, dz)
+        x, y, z = x + hx, y + hy, z + hz
+    return x, y, z, dx, dy, dz, near
+
+
+@kernel
+def _emit_area(lamps, i, u1, u2, u3, u4):
+    """Area lamps -> (origin, direction): uniform on the shape, cosine with the spread around the axis."""
+    if lamps.ellipse[i]:
+        a, b = concentric_disk(u1, u2)
+        a, b = _HALF * a, _HALF * b
+    else:
+        a, b = u1 - _HALF, u2 - _HALF
+    a, b = a * lamps.size[i, 0], b * lamps.size[i, 1]
+    if lamps.tan_half_spread[i] == np.float32(np.inf):
+        lx, ly, lz = cosine_hemisphere(u3, u4)
+    else:
+        theta = _spread_angle(np.float64(lamps.half_spread[i]), np.float64(u3))
+        s, lz, phi = np.float32(math.sin(theta)), np.float32(math.cos(theta)), _2PI * u4
+        lx, ly = s * np.float32(math.cos(phi)), s * np.float32(math.sin(phi))
+    axes = lamps.axes[i]
+    x = lamps.position[i, 0] + a * axes[0, 0] + b * axes[1, 0]
+    y = lamps.position[i, 1] + a * axes[0, 1] + b * axes[1, 1]
+    z = lamps.position[i, 2] + a * axes[0, 2] + b * axes[1, 2]
+    dx = lx * axes[0, 0] + ly * axes[1, 0] - lz * axes[2, 0]
+    dy = lx * axes[0, 1] + ly * axes[1, 1] - lz * axes[2, 1]
+    dz = lx * axes[0, 2] + ly * axes[1, 2] - lz * axes[2, 2]
+    return x, y, z, dx, dy, dz
+
+
+@kernel
+def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
+    """A particle from the emitters.
+
+    u0: chooses the emitter by flux, in order, so that stratified u0 give each emitter its share; u1..u4: position
+    and direction; all float32 or float64 in [0, 1).  rows, surface: scratch as for `sample_emitter`.
+
+    Returns:
+        (emitter or -1 if nothing shines, origin x, y, z, direction x, y, z, flux r, g, b in W, near).  The mean
+        flux of many particles is the power of all emitters.  What the particle meets closer than `near` stops it
+        but is not lit (0 but for lamps with soft falloff).  The inside of a sphere lamp gets no particles.
+    """
+    if not emitters.emission_cdf[-1] > 0.0 or emitters.kind.shape[0] == 0:
+        return -1, _0, _0, _0, _0, _0, _1, _0, _0, _0, _0
+    e, rest, probability = sample_cdf(emitters.emission_cdf, np.float64(u0))
+    w = _1 / np.float32(probability)
+    kind = emitters.kind[e]
+    r, g, b = np.float32(emitters.flux[e, 0]), np.float32(emitters.flux[e, 1]), np.float32(emitters.flux[e, 2])
+    near = _0
+    if kind == TRIANGLE:
+        mesh = emitters.mesh
+        i = e - (emitters.kind.shape[0] - mesh.triangle.shape[0])
+        u, v = uniform_triangle(u1, u2)
+        front = u3 < _HALF
+        lx, ly, lz = cosine_hemisphere(u3 * _2 if front else u3 * _2 - _1, u4)
+        side = _1 if front else -_1
+        nx, ny, nz = side * mesh.normal[i, 0], side * mesh.normal[i, 1], side * mesh.normal[i, 2]
+        dx, dy, dz = to_world(lx, ly, lz, nx, ny, nz)
+        x, y, z, nx, ny, nz, error = hit_point(emitters.vertices, emitters.triangles, mesh.triangle[i], u, v)
+        x, y, z = offset_origin(x, y, z, nx, ny, nz, error, dx, dy, dz)
+        if mesh.textured[i]:
+            evaluate(emitters.materials, mesh.material[i], emitters.attributes, mesh.triangle[i], u, v, side * lz, rows, surface)
+            k = _2PI * mesh.area[i]
+            r, g, b = k * surface[EMISSION], k * surface[EMISSION + 1], k * surface[EMISSION + 2]
+    elif kind == WORLD or kind == SUN:
+        if kind == WORLD:
+            dx, dy, dz, r, g, b = emit_world(emitters.world, u1, u2)
+        else:
+            narrow = emitters.lamps.one_minus_cos[e]
+            lx, ly, lz = uniform_cone(u1, u2, narrow)
+            axes = emitters.lamps.axes
+            dx, dy, dz = to_world(lx, ly, lz, axes[e, 2, 0], axes[e, 2, 1], axes[e, 2, 2])
+            k = _2PI * narrow if narrow > _0 else _1
+            r, g, b = k * emitters.radiance[e, 0], k * emitters.radiance[e, 1], k * emitters.radiance[e, 2]
+        dx, dy, dz = -dx, -dy, -dz
+        x, y, z, area = _box_entry(emitters.box, dx, dy, dz, u3, u4)
+        w *= area
+    elif kind == AREA:
+        x, y, z, dx, dy, dz = _emit_area(emitters.lamps, e, u1, u2, u3, u4)
+    else:
+        x, y, z, dx, dy, dz, near = _emit_point(emitters.lamps, e, kind == SPOT, u1, u2, u3, u4)
+    return e, x, y, z, dx, dy, dz, r * w, g * w, b * w, near

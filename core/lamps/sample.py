@@ -1,0 +1,50 @@
+"""Aiming from a shading point at one emitter."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..jit import kernel
+from ..scene import AREA, SUN
+from ..surfaces.layout import EMISSION
+from ..surfaces.program import evaluate
+from .shapes import sample_area, sample_mesh_triangle, sample_point, sample_sun
+from .tables import TRIANGLE, WORLD
+from .world import sample_world
+
+_INFINITY = np.float32(np.inf)
+
+
+@kernel
+def sample_emitter(emitters, e, px, py, pz, nx, ny, nz, u1, u2, rows, surface):
+    """One sample of emitter e for a surface at p with shading normal n.
+
+    u1, u2: float32 in [0, 1).  rows, surface: scratch for textured emitters (`new_registers`, (SURFACE,) float32).
+
+    Returns:
+        Nine float32: unit direction to the light, distance (inf for sun and world), radiance / density per solid
+        angle as r, g, b, and barycentric u, v on a triangle.  The mean over u1, u2 of radiance / density times the
+        cosine with n is the unshadowed irradiance (W/m^2).
+    """
+    kind = emitters.kind[e]
+    r, g, b = emitters.radiance[e, 0], emitters.radiance[e, 1], emitters.radiance[e, 2]
+    t = _INFINITY
+    u = v = np.float32(0.0)
+    if kind == TRIANGLE:
+        i = e - (emitters.kind.shape[0] - emitters.mesh.triangle.shape[0])
+        dx, dy, dz, t, w, u, v = sample_mesh_triangle(emitters.mesh, i, px, py, pz, u1, u2)
+        if emitters.mesh.textured[i]:
+            side = -(dx * emitters.mesh.normal[i, 0] + dy * emitters.mesh.normal[i, 1] + dz * emitters.mesh.normal[i, 2])
+            triangle, material = emitters.mesh.triangle[i], emitters.mesh.material[i]
+            evaluate(emitters.materials, material, emitters.attributes, triangle, u, v, side, rows, surface)
+            r, g, b = surface[EMISSION], surface[EMISSION + 1], surface[EMISSION + 2]
+    elif kind == WORLD:
+        dx, dy, dz, r, g, b = sample_world(emitters.world, nx, ny, nz, u1, u2)
+        w = np.float32(1.0)
+    elif kind == SUN:
+        dx, dy, dz, w = sample_sun(emitters.lamps, e, u1, u2)
+    elif kind == AREA:
+        dx, dy, dz, t, w = sample_area(emitters.lamps, e, px, py, pz, u1, u2)
+    else:
+        dx, dy, dz, t, w = sample_point(emitters.lamps, e, px, py, pz, nx, ny, nz, u1, u2)
+    return dx, dy, dz, t, r * w, g * w, b * w, u, v

@@ -1,0 +1,181 @@
+"""Lamps of every shape as Cycles has them: how they fade with direction, and aiming at each from a point.
+
+Every sampler returns the unit direction to the light, its distance, and radiance / density per solid angle
+(zero where there is no light that way).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..jit import inlined, kernel
+from ..sampling.maps import concentric_disk, cosine_hemisphere, to_world, uniform_cone, uniform_triangle
+from .solid_angle import sample_rectangle, sample_triangle
+
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+_2 = np.float32(2.0)
+_HALF = np.float32(0.5)
+_PI = np.float32(math.pi)
+_2PI = np.float32(2 * math.pi)
+_TINY = np.float32(1e-12)
+_INFINITY = np.float32(np.inf)
+
+
+@inlined
+def one_minus_cos(sin2):
+    """1 - cos of an angle from its squared sine, without cancellation."""
+    return sin2 / (_1 + np.float32(math.sqrt(max(_0, _1 - sin2))))
+
+
+@inlined
+def smoothstep(x):
+    """3x^2 - 2x^3, clamped to 0..1."""
+    x = min(max(x, _0), _1)
+    return x * x * (np.float32(3.0) - _2 * x)
+
+
+@inlined
+def spot_attenuation(lamps, i, cosine):
+    """Share of a spot's axial intensity at an angle off its axis (1 for a point lamp)."""
+    outer, inner = lamps.cos_outer[i], lamps.cos_inner[i]
+    if cosine >= inner:
+        return _1
+    if cosine <= outer:
+        return _0
+    return smoothstep((cosine - outer) / (inner - outer))
+
+
+@inlined
+def spread_attenuation(lamps, i, tangent):
+    """Share of an area lamp's axial radiance at an angle off its axis, given as the tangent."""
+    limit = lamps.tan_half_spread[i]
+    if limit == _INFINITY:
+        return _1
+    return max(_0, _1 - tangent / limit)
+
+
+@kernel
+def sample_point(lamps, i, px, py, pz, nx, ny, nz, u1, u2):
+    """Point and spot lamps -> (d, distance, radiance factor / density).
+
+    A sphere is sampled uniformly in the cone that it fills (Shirley et al. 1996).  A soft lamp is a disk that faces
+    the shading point: it fills a cone as well, which needs no area density as in Cycles.
+    """
+    vx, vy, vz = lamps.position[i, 0] - px, lamps.position[i, 1] - py, lamps.position[i, 2] - pz
+    d2 = vx * vx + vy * vy + vz * vz
+    r = lamps.radius[i]
+    if d2 < _TINY:
+        return _0, _0, _1, _0, _0
+    d = np.float32(math.sqrt(d2))
+    vx, vy, vz = vx / d, vy / d, vz / d
+    if r == _0:
+        dx, dy, dz, t = vx, vy, vz, d
+        weight = _1 / d2
+    elif lamps.soft[i]:
+        sin2 = r * r / (d2 + r * r)
+        cone = one_minus_cos(sin2)
+        lx, ly, lz = uniform_cone(u1, u2, cone)
+        dx, dy, dz = to_world(lx, ly, lz, vx, vy, vz)
+        t = d / lz
+        weight = _2PI * cone
+    elif d2 > r * r:
+        cone = one_minus_cos(r * r / d2)
+        lx, ly, lz = uniform_cone(u1, u2, cone)
+        dx, dy, dz = to_world(lx, ly, lz, vx, vy, vz)
+        t = d * lz - np.float32(math.sqrt(max(_0, r * r - d2 * (_1 - lz * lz))))
+        weight = _2PI * cone
+    else:  # within the sphere, light comes from everywhere, whatever the spot's cone
+        lx, ly, lz = cosine_hemisphere(u1, u2)
+        dx, dy, dz = to_world(lx, ly, lz, nx, ny, nz)
+        along = dx * vx + dy * vy + dz * vz
+        t = d * along + np.float32(math.sqrt(max(_0, r * r - d2 * (_1 - along * along))))
+        return dx, dy, dz, t, _PI / max(lz, np.float32(1e-6))
+    cosine = lamps.axes[i, 2, 0] * dx + lamps.axes[i, 2, 1] * dy + lamps.axes[i, 2, 2] * dz
+    return dx, dy, dz, t, weight * spot_attenuation(lamps, i, cosine)
+
+
+@kernel
+def sample_sun(lamps, i, u1, u2):
+    """Sun -> (d, radiance factor / density); of a sun without size the factor is that of its irradiance."""
+    lx, ly, lz = uniform_cone(u1, u2, lamps.one_minus_cos[i])
+    ax, ay, az = lamps.axes[i, 2, 0], lamps.axes[i, 2, 1], lamps.axes[i, 2, 2]
+    dx, dy, dz = to_world(lx, ly, lz, ax, ay, az)
+    return dx, dy, dz, _2PI * lamps.one_minus_cos[i] if lamps.one_minus_cos[i] > _0 else _1
+
+
+@kernel
+def sample_area(lamps, i, px, py, pz, u1, u2):
+    """Area lamps -> (d, distance, radiance factor / density).
+
+    Only the part of the lamp whose spread reaches the point is sampled.  Rectangles: uniform in solid angle.
+    Ellipses: uniform in area where the lamp is far, else the rectangle around them with rejected corners.
+    """
+    vx, vy, vz = px - lamps.position[i, 0], py - lamps.position[i, 1], pz - lamps.position[i, 2]
+    x = vx * lamps.axes[i, 0, 0] + vy * lamps.axes[i, 0, 1] + vz * lamps.axes[i, 0, 2]
+    y = vx * lamps.axes[i, 1, 0] + vy * lamps.axes[i, 1, 1] + vz * lamps.axes[i, 1, 2]
+    height = -(vx * lamps.axes[i, 2, 0] + vy * lamps.axes[i, 2, 1] + vz * lamps.axes[i, 2, 2])
+    if not height > _0:
+        return _0, _0, _1, _0, _0
+    half_x, half_y = _HALF * lamps.size[i, 0], _HALF * lamps.size[i, 1]
+    reach = height * lamps.tan_half_spread[i]
+    x0, x1 = max(-half_x, x - reach), min(half_x, x + reach)
+    y0, y1 = max(-half_y, y - reach), min(half_y, y + reach)
+    if not (x0 < x1 and y0 < y1):
+        return _0, _0, _1, _0, _0
+    far = x * x + y * y + height * height > np.float32(4.0) * (half_x * half_x + half_y * half_y)
+    if lamps.ellipse[i] and far and reach > _2 * (half_x + half_y + abs(x) + abs(y)):
+        a, b = concentric_disk(u1, u2)
+        sx, sy = a * half_x - x, b * half_y - y
+        r2 = sx * sx + sy * sy + height * height
+        weight = _PI * half_x * half_y * height / (r2 * np.float32(math.sqrt(r2)))
+    else:
+        qx, qy, angle = sample_rectangle(x0 - x, x1 - x, y0 - y, y1 - y, height, u1, u2)
+        sx, sy, weight = np.float32(qx), np.float32(qy), np.float32(angle)
+        if lamps.ellipse[i] and ((sx + x) / half_x) ** 2 + ((sy + y) / half_y) ** 2 > _1:
+            weight = _0
+        r2 = sx * sx + sy * sy + height * height
+    t = np.float32(math.sqrt(r2))
+    weight *= spread_attenuation(lamps, i, np.float32(math.sqrt(sx * sx + sy * sy)) / height)
+    sx, sy, sz = sx / t, sy / t, height / t
+    dx = sx * lamps.axes[i, 0, 0] + sy * lamps.axes[i, 1, 0] + sz * lamps.axes[i, 2, 0]
+    dy = sx * lamps.axes[i, 0, 1] + sy * lamps.axes[i, 1, 1] + sz * lamps.axes[i, 2, 1]
+    dz = sx * lamps.axes[i, 0, 2] + sy * lamps.axes[i, 1, 2] + sz * lamps.axes[i, 2, 2]
+    return dx, dy, dz, t, weight
+
+
+@kernel
+def sample_mesh_triangle(mesh, i, px, py, pz, u1, u2):
+    """Emissive triangles -> (d, distance, 1 / density, u, v): uniform in solid angle near by, in area far away."""
+    c = mesh.corners[i]
+    ax, ay, az = c[0, 0] - px, c[0, 1] - py, c[0, 2] - pz
+    ex, ey, ez = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
+    fx, fy, fz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
+    nx, ny, nz = mesh.normal[i, 0], mesh.normal[i, 1], mesh.normal[i, 2]
+    third = np.float32(1 / 3)
+    mx, my, mz = ax + third * (ex + fx), ay + third * (ey + fy), az + third * (ez + fz)
+    longest = max(ex * ex + ey * ey + ez * ez, fx * fx + fy * fy + fz * fz, (fx - ex) ** 2 + (fy - ey) ** 2 + (fz - ez) ** 2)
+    if longest > np.float32(0.1) * (mx * mx + my * my + mz * mz):
+        dx, dy, dz, angle = sample_triangle(ax, ay, az, ax + ex, ay + ey, az + ez, ax + fx, ay + fy, az + fz, u1, u2)
+        if angle > 0.0:
+            # Where the direction meets the plane: distance and barycentric coordinates (Cramer's rule).
+            d_n = dx * nx + dy * ny + dz * nz
+            t = (ax * nx + ay * ny + az * nz) / d_n if d_n != 0.0 else 0.0
+            hx, hy, hz = t * dx - ax, t * dy - ay, t * dz - az
+            ee, ef, ff = ex * ex + ey * ey + ez * ez, ex * fx + ey * fy + ez * fz, fx * fx + fy * fy + fz * fz
+            he, hf = hx * ex + hy * ey + hz * ez, hx * fx + hy * fy + hz * fz
+            below = ee * ff - ef * ef
+            u = min(max((ff * he - ef * hf) / below, 0.0), 1.0)
+            v = min(max((ee * hf - ef * he) / below, 0.0), 1.0 - u)
+            if t > 0.0:
+                return np.float32(dx), np.float32(dy), np.float32(dz), np.float32(t), np.float32(angle), np.float32(u), np.float32(v)
+    u, v = uniform_triangle(u1, u2)
+    dx, dy, dz = ax + u * ex + v * fx, ay + u * ey + v * fy, az + u * ez + v * fz
+    r2 = dx * dx + dy * dy + dz * dz
+    if r2 < _TINY:
+        return _0, _0, _1, _0, _0, u, v
+    t = np.float32(math.sqrt(r2))
+    dx, dy, dz = dx / t, dy / t, dz / t
+    return dx, dy, dz, t, mesh.area[i] * abs(dx * nx + dy * ny + dz * nz) / r2, u, v

@@ -1,0 +1,85 @@
+"""Choosing among many emitters: bounds of their light on a point, and a tree of such bounds.
+
+Conty Estevez & Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree Splitting", section 5: the
+importance of a cluster.  It is zero only where no light can arrive, so that every emitter that matters is possible.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..jit import inlined, kernel
+
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+_HALF = np.float32(0.5)
+
+
+@inlined
+def _cos_less(cos_a, cos_b):
+    """cos(max(0, a - b)) of two angles in 0..pi."""
+    if cos_a >= cos_b:
+        return _1
+    sines = np.float32(math.sqrt(max(_0, (_1 - cos_a * cos_a) * (_1 - cos_b * cos_b))))
+    return cos_a * cos_b + sines
+
+
+@kernel
+def importance(tree, node, px, py, pz, nx, ny, nz):
+    """Estimate of the irradiance (mean of the channels) that a node can send to p with normal n; 0 if it cannot."""
+    lx, ly, lz = tree.lower[node, 0], tree.lower[node, 1], tree.lower[node, 2]
+    ux, uy, uz = tree.upper[node, 0], tree.upper[node, 1], tree.upper[node, 2]
+    vx, vy, vz = _HALF * (lx + ux) - px, _HALF * (ly + uy) - py, _HALF * (lz + uz) - pz
+    r2 = np.float32(0.25) * ((ux - lx) ** 2 + (uy - ly) ** 2 + (uz - lz) ** 2)
+    d2 = vx * vx + vy * vy + vz * vz
+    if d2 <= r2 * np.float32(1.0001):  # within the bounding sphere anything is possible
+        return tree.energy[node] / max(r2, np.float32(1e-12))
+    d = np.float32(math.sqrt(d2))
+    cos_u = np.float32(math.sqrt(_1 - r2 / d2))
+    cos_i = _cos_less((vx * nx + vy * ny + vz * nz) / d, cos_u)
+    if cos_i <= _0:
+        return _0
+    cosine = -(vx * tree.axis[node, 0] + vy * tree.axis[node, 1] + vz * tree.axis[node, 2]) / d
+    if tree.two_sided[node]:
+        cosine = abs(cosine)
+    cosine = _cos_less(_cos_less(cosine, tree.cos_o[node]), cos_u)
+    # A little slack: the cone's edge must not fall to rounding.
+    if cosine < tree.cos_e[node] - np.float32(1e-4):
+        return _0
+    return tree.energy[node] * cos_i * max(cosine, np.float32(1e-3)) / d2
+
+
+@kernel
+def descend(tree, px, py, pz, nx, ny, nz, u):
+    """An emitter of the tree for p with normal n -> (emitter or -1, its probability); u in [0, 1)."""
+    n = tree.energy.shape[0] - tree.left.shape[0]
+    node = tree.root
+    probability = _1
+    while node >= n:
+        left, right = tree.left[node - n], tree.right[node - n]
+        a = importance(tree, left, px, py, pz, nx, ny, nz)
+        b = importance(tree, right, px, py, pz, nx, ny, nz)
+        if not a + b > _0:
+            return -1, _1
+        share = a / (a + b)
+        if u < share:
+            node = left
+            u = u / share
+            probability *= share
+        else:
+            node = right
+            u = (u - share) / (_1 - share)
+            probability *= _1 - share
+        u = min(u, np.float32(0.99999994))
+    return node, probability
+
+
+@kernel
+def tree_estimate(tree, px, py, pz, nx, ny, nz):
+    """Estimate of the irradiance that the whole tree can send, from a cut through it; 0 if it cannot."""
+    total = _0
+    for k in range(tree.cut.shape[0]):
+        total += importance(tree, tree.cut[k], px, py, pz, nx, ny, nz)
+    return total
