@@ -41,7 +41,7 @@ def _visible_normals(roughness: np.ndarray, mu: np.ndarray) -> tuple[np.ndarray,
     sine = np.sqrt(1 - mu * mu)
     radius = np.sqrt((np.arange(_RADII) + 0.5) / _RADII)[:, None]
     angle = (np.arange(_ANGLES) + 0.5) * (np.pi / _ANGLES)
-    x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+    x, y = (radius * np.sin(angle)).ravel(), (radius * np.cos(angle)).ravel()
     # Heitz 2018, listing 1, with the view in the plane x = 0 so that the disk's x is the symmetric axis.
     stretched = np.sqrt(np.square(alpha * sine) + mu * mu)
     vy, vz = alpha * sine / stretched, mu / stretched
