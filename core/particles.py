@@ -20,7 +20,7 @@ import numpy as np
 from .jit import kernel
 from .lamps.emission import emit
 from .rays.offsets import hit_point, offset_origin, shadow_segment
-from .rays.packet import T_FAR, WIDTH, disable_ray, hit_triangle, hit_u, hit_v, is_occluded, new_packet, set_ray
+from .rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, is_occluded, new_packet, set_ray
 from .rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
 from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
