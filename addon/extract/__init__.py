@@ -1,0 +1,95 @@
+"""From Blender's evaluated scene to the arrays of `core.scene`."""
+
+from __future__ import annotations
+
+import bpy
+
+from ...core.errors import SceneError
+from ...core.scene import Scene
+from ..materials import MaterialUse, compile_materials
+from .camera import camera_warnings, extract_camera, find_camera, image_size
+from .evaluation import in_render_depsgraph
+from .geometry import Collected, assemble, collect
+from .lamps import CollectedLamps, collect_lamps, to_arrays
+from .world import extract_world
+
+__all__ = ["extract_scene"]
+
+
+def extract_scene(
+    scene: bpy.types.Scene,
+    *,
+    camera: str | None = None,
+    size: tuple[int, int] | None = None,
+    frame: int | None = None,
+    view_layer: bpy.types.ViewLayer | str | None = None,
+    depsgraph: bpy.types.Depsgraph | None = None,
+) -> Scene:
+    """A scene as a render sees it, in arrays.
+
+    camera: name of a camera object, else the scene's active one.  size: width and height of the full
+    frame, else the scene's.  frame: sets the scene to it first.  view_layer: else the first one that
+    is used for rendering.
+    depsgraph: the evaluation to read.  A render engine passes its own and must pass one; elsewhere
+    leave it out, and the scene is evaluated as for a render.
+
+    Raises:
+        SceneError: no camera, one that cannot be rendered from, no pixels, or too much geometry.
+    """
+    if frame is not None and frame != scene.frame_current:
+        scene.frame_set(frame)
+    eye = find_camera(scene, camera)
+    width, height = image_size(scene, size)
+    layer = _view_layer(scene, view_layer, depsgraph)
+
+    def read(graph: bpy.types.Depsgraph):
+        seen = eye.evaluated_get(graph)
+        place = extract_camera(seen, scene, width, height)
+        return collect(graph), collect_lamps(graph), place, camera_warnings(seen, scene)
+
+    found: Collected
+    lamps: CollectedLamps
+    found, lamps, view, warnings = in_render_depsgraph(scene, layer, read) if depsgraph is None else read(depsgraph)
+    graph = depsgraph if depsgraph is not None else layer.depsgraph
+    compiled = compile_materials(_uses(found, graph))
+    geometry, origin, dropped = assemble(found, compiled)
+    world = extract_world(scene, layer, graph, rendering=depsgraph is not None)
+    view.matrix[:3, 3] -= origin
+    return Scene(
+        geometry=geometry,
+        materials=compiled.materials,
+        lamps=to_arrays(lamps.lamps + world.suns, origin),
+        world=world.world,
+        camera=view,
+        origin=origin,
+        frame=scene.frame_current,
+        view_layer=layer.name,
+        warnings=[*warnings, *found.warnings, *dropped, *lamps.warnings, *world.warnings, *compiled.warnings],
+        skipped=lamps.skipped,
+    )
+
+
+def _view_layer(
+    scene: bpy.types.Scene, asked: bpy.types.ViewLayer | str | None, depsgraph: bpy.types.Depsgraph | None
+) -> bpy.types.ViewLayer:
+    if depsgraph is not None:
+        return scene.view_layers[depsgraph.view_layer_eval.name]
+    if isinstance(asked, bpy.types.ViewLayer):
+        return asked
+    if asked is not None:
+        if asked not in scene.view_layers:
+            raise SceneError(f"no view layer '{asked}' in scene '{scene.name}'; it has: {', '.join(scene.view_layers.keys())}")
+        return scene.view_layers[asked]
+    return next((layer for layer in scene.view_layers if layer.use), scene.view_layers[0])
+
+
+def _uses(found: Collected, graph: bpy.types.Depsgraph) -> list[MaterialUse]:
+    """Each material with the objects that wear it, as evaluated (drivers, animation) in `graph`."""
+    wearers: dict[bpy.types.Material | None, dict[bpy.types.Object, None]] = {}
+    for part in found.parts:
+        for material in part.materials:
+            wearers.setdefault(material, {})[part.original] = None
+    return [
+        MaterialUse(material and material.evaluated_get(graph), tuple(ob.evaluated_get(graph) for ob in wearers.get(material, ())))
+        for material in found.materials
+    ]

@@ -1,0 +1,156 @@
+"""What materials read at the corners of triangles: UV maps, colours, coordinates, properties of objects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..materials import AttributeRequest, CompiledMaterials, requests
+from .meshes import MeshCopy
+
+
+@dataclass
+class Part:
+    """One instance of a mesh: where it is and what it wears (original data-blocks; None is an empty slot)."""
+
+    mesh: MeshCopy
+    matrix: np.ndarray  # (4, 4) float64, mesh to world
+    name: str
+    original: bpy.types.Object
+    materials: tuple[bpy.types.Material | None, ...]
+    visibility: int
+    random_id: int
+    color: tuple[float, ...]
+    pass_index: int
+
+
+@dataclass
+class Batch:
+    """n instances of one mesh that wear the same materials, placed in the world.
+
+    world: (n, V, 3) float64.  normals: (n, T, 3, 3) float32, world shading normals.
+    normal_matrix: (n, 3, 3) float64: a row vector's normal times it is the world normal.
+    """
+
+    parts: list[Part]
+    world: np.ndarray
+    normals: np.ndarray
+    normal_matrix: np.ndarray
+
+    @property
+    def mesh(self) -> MeshCopy:
+        return self.parts[0].mesh
+
+
+def fill(out: np.ndarray, batch: Batch, materials: np.ndarray, compiled: CompiledMaterials) -> None:
+    """Write the attributes of a batch: `out` is (K, n, T, 3, 4), zeros, float32; `materials` (T,) indices."""
+    for material in np.unique(materials):
+        wanted = compiled.requests[material]
+        mask = materials == material
+        where = slice(None) if mask.all() else np.flatnonzero(mask)
+        for slot, request in zip(out, wanted):
+            values = _values(request, batch, compiled)
+            if values is None:
+                continue
+            width = values.shape[-1]
+            slot[:, where, :, :width] = values[:, where] if values.shape[1] > 1 else values
+            if width < 4:
+                slot[:, where, :, 3] = 1
+
+
+def _values(request: AttributeRequest, batch: Batch, compiled: CompiledMaterials) -> np.ndarray | None:
+    """Values that broadcast to (n, T, 3, 3 or 4), or None for what this mesh lacks."""
+    of_mesh, of_object = _OF_MESH.get(request.kind), _OF_OBJECT.get(request.kind)
+    if of_mesh is not None:
+        values = of_mesh(batch.mesh, request.name)
+        return None if values is None else values[None]
+    if of_object is not None:
+        return np.array([of_object(part, request.name) for part in batch.parts], np.float32)[:, None, None, :]
+    if request.kind == requests.OBJECT:
+        return _object_position(batch, request.name)
+    if request.kind == requests.WORLD_POSITION:
+        return batch.world[:, batch.mesh.corners]
+    if request.kind == requests.WORLD_NORMAL:
+        return batch.normals
+    if request.kind == requests.FACE_NORMAL:
+        return unit(np.matmul(batch.mesh.face_normals[None], batch.normal_matrix))[:, :, None, :]
+    if request.kind == requests.BAKED:
+        return _baked(batch, compiled.baked_uvs[request.name])
+    raise ValueError(f"unknown attribute request '{request.kind}'")
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors of length 1 along the last axis; zero vectors stay zero."""
+    length = np.sqrt(np.einsum("...k,...k->...", vectors, vectors))[..., None]
+    return vectors / np.where(length > 0, length, 1)
+
+
+def _object_position(batch: Batch, name: str) -> np.ndarray | None:
+    """Positions in the space of the batch's own objects, or of another object."""
+    if not name:
+        return batch.mesh.vertices[batch.mesh.corners][None]
+    other = bpy.data.objects.get(name)
+    if other is None or np.linalg.det(to_world := np.array(other.matrix_world, np.float64)) == 0:
+        return None
+    to_object = np.linalg.inv(to_world)
+    return (batch.world @ to_object[:3, :3].T + to_object[:3, 3])[:, batch.mesh.corners]
+
+
+def _baked(batch: Batch, by_object: dict[str, np.ndarray]) -> np.ndarray:
+    """UVs of a baked texture, which every object has of its own: (n, T, 3, 3)."""
+    uv = np.zeros((len(batch.parts), len(batch.mesh.corners), 3, 3), np.float32)
+    for target, part in zip(uv, batch.parts):
+        baked = by_object.get(part.name)
+        if baked is not None and baked.shape == (*target.shape[:2], 2):
+            target[..., :2] = baked
+    return uv
+
+
+def _property(part: Part, name: str) -> tuple[float, ...]:
+    """A custom or RNA property of an object or else its data, as an Attribute node of type Object finds it; zeros if there is none."""
+    for owner in (part.original, part.original.data):
+        if owner is None:
+            continue
+        value = owner.get(name)
+        if value is None:
+            try:
+                value = owner.path_resolve(name)
+            except ValueError:
+                continue
+        color = _as_color(value)
+        if color is not None:
+            return color
+    return (0, 0, 0, 0)
+
+
+def _as_color(value: Any) -> tuple[float, ...] | None:
+    """A number or an array of up to four numbers as RGBA, None for anything else."""
+    try:
+        values = np.atleast_1d(np.asarray(value, np.float32))
+    except (TypeError, ValueError):
+        return None
+    if values.ndim != 1 or not 1 <= len(values) <= 4:
+        return None
+    if len(values) == 1:
+        return (*values.repeat(3), 1)
+    return (*values, *(0, 0, 1)[len(values) - 1 :]) if len(values) < 4 else tuple(values)
+
+
+_OF_MESH: dict[str, Callable[[MeshCopy, str], np.ndarray | None]] = {
+    requests.UV: lambda mesh, name: mesh.layers.get(name or mesh.uv),
+    requests.COLOR: lambda mesh, name: mesh.layers.get(name or mesh.color),
+    requests.ATTRIBUTE: lambda mesh, name: mesh.layers.get(name),
+    requests.GENERATED: lambda mesh, name: mesh.generated,
+    requests.NORMAL: lambda mesh, name: unit(mesh.normals),
+}
+_OF_OBJECT: dict[str, Callable[[Part, str], tuple[float, ...]]] = {
+    requests.OBJECT_LOCATION: lambda part, name: tuple(part.matrix[:3, 3]),
+    requests.OBJECT_COLOR: lambda part, name: part.color,
+    requests.OBJECT_INDEX: lambda part, name: (part.pass_index,) * 3,
+    requests.OBJECT_RANDOM: lambda part, name: (part.random_id / 2**32,) * 3,
+    requests.OBJECT_ATTRIBUTE: _property,
+}

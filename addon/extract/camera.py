@@ -1,0 +1,114 @@
+"""Blender's camera as a window in space and a pixel grid: the rays of Cycles, pixel by pixel."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ...core.errors import SceneError
+from ...core.scene import Camera
+
+
+def find_camera(scene: bpy.types.Scene, name: str | None = None) -> bpy.types.Object:
+    """The camera object to render from: the one of that name, else the scene's own.
+
+    Raises:
+        SceneError: there is none, or it cannot be rendered from.
+    """
+    if name is not None:
+        camera = scene.objects.get(name)
+        if camera is None:
+            raise SceneError(f"no camera '{name}' in scene '{scene.name}'; it has: {_cameras(scene)}")
+    else:
+        camera = scene.camera
+        if camera is None:
+            raise SceneError(f"scene '{scene.name}' has no active camera: set one, or name one of: {_cameras(scene)}")
+    if camera.type != "CAMERA":
+        raise SceneError(f"'{camera.name}' is no camera but of type {camera.type.lower()}; choose one of: {_cameras(scene)}")
+    if camera.data.type not in ("PERSP", "ORTHO"):
+        raise SceneError(
+            f"camera '{camera.name}' is of type {camera.data.type.lower()}: only perspective and orthographic cameras "
+            "can be rendered; change Type in its data properties"
+        )
+    return camera
+
+
+def image_size(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> tuple[int, int]:
+    """Width and height of the full frame in pixels: `size`, else the scene's resolution times its percentage.
+
+    Raises:
+        SceneError: the image has no pixels.
+    """
+    render = scene.render
+    width, height = size or tuple(r * render.resolution_percentage // 100 for r in (render.resolution_x, render.resolution_y))
+    if width < 1 or height < 1:
+        raise SceneError(f"scene '{scene.name}' would be rendered at {width}x{height} pixels: set a larger resolution")
+    return int(width), int(height)
+
+
+def extract_camera(camera: bpy.types.Object, scene: bpy.types.Scene, width: int, height: int) -> Camera:
+    """An evaluated camera object; its position is still in world space.
+
+    Raises:
+        SceneError: its scale is zero, or the render border holds no pixel.
+    """
+    data = camera.data
+    placed = np.array(camera.matrix_world, np.float64)
+    length = np.linalg.norm(placed[:3, :3], axis=0)
+    if not np.isfinite(placed).all() or (length == 0).any():
+        raise SceneError(f"camera '{camera.name}' has a scale of zero or an invalid position: reset its transform")
+    placed[:3, :3] /= length
+    return Camera(
+        matrix=placed,
+        orthographic=data.type == "ORTHO",
+        window=_window(data, scene.render, width, height),
+        width=width,
+        height=height,
+        border=_border(scene, width, height),
+        near=data.clip_start,
+        far=data.clip_end,
+        name=camera.name,
+    )
+
+
+def camera_warnings(camera: bpy.types.Object, scene: bpy.types.Scene) -> list[str]:
+    """What of the camera and its shutter is not rendered."""
+    warnings = []
+    if camera.data.dof.use_dof:
+        warnings.append(f"depth of field of camera '{camera.name}' is ignored: everything is in focus")
+    if scene.render.use_motion_blur:
+        warnings.append(f"motion blur of scene '{scene.name}' is ignored: frame {scene.frame_current} is rendered as it stands")
+    if scene.render.use_multiview:
+        warnings.append(f"stereoscopy of scene '{scene.name}' is ignored: one view is rendered")
+    return warnings
+
+
+def _cameras(scene: bpy.types.Scene) -> str:
+    return ", ".join(sorted(ob.name for ob in scene.objects if ob.type == "CAMERA")) or "none (add one)"
+
+
+def _window(data: bpy.types.Camera, render: bpy.types.RenderSettings, width: int, height: int) -> tuple[float, float, float, float]:
+    """Left, right, bottom and top edge of the image at distance 1, or in metres if orthographic.
+
+    The larger side (or the one that the sensor fit names) spans the sensor or the orthographic scale;
+    shift counts in units of that side (`blender_camera_viewplane` of Cycles' blender/camera.cpp).
+    """
+    wide, high = width * render.pixel_aspect_x, height * render.pixel_aspect_y
+    horizontal = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and wide > high)
+    sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
+    span = data.ortho_scale if data.type == "ORTHO" else sensor / data.lens
+    half_x, half_y = (0.5 * span, 0.5 * span * high / wide) if horizontal else (0.5 * span * wide / high, 0.5 * span)
+    x, y = data.shift_x * span, data.shift_y * span
+    return x - half_x, x + half_x, y - half_y, y + half_y
+
+
+def _border(scene: bpy.types.Scene, width: int, height: int) -> tuple[int, int, int, int]:
+    """The render border in pixels, y down, cut off to whole pixels as Blender does."""
+    render = scene.render
+    if not render.use_border:
+        return 0, 0, width, height
+    x0, x1 = int(render.border_min_x * width), int(render.border_max_x * width)
+    y0, y1 = int(render.border_min_y * height), int(render.border_max_y * height)
+    if x1 <= x0 or y1 <= y0:
+        raise SceneError(f"the render region of scene '{scene.name}' holds no pixel: enlarge it or clear it (Ctrl-Alt-B)")
+    return x0, height - y1, x1, height - y0

@@ -1,0 +1,275 @@
+"""Meshes and instances of an evaluated scene as one pool of world-space triangles.
+
+Two steps, because materials are compiled between them and must be outside of Blender's render:
+`collect` copies what lives only as long as the evaluation, `assemble` places it in the world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+
+from ...core.errors import SceneError
+from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION, Geometry
+from ..materials import CompiledMaterials
+from .attributes import Batch, Part, fill, unit
+from .meshes import MeshCopy, copy_mesh, face_normals, layer_names
+
+# Coordinates beyond this are taken for invalid: their squares overflow float32.
+_LIMIT = 1e18
+# A singular value below this share of the largest one counts as zero: the instance is squashed.
+_SINGULAR = 1e-7
+_MAX_TRIANGLES = 50_000_000
+
+# What Cycles renders and triangles cannot hold.
+_NOT_TRIANGLES = {
+    "VOLUME": "volume",
+    "CURVES": "hair curves",
+    "POINTCLOUD": "point cloud",
+    "GREASEPENCIL": "grease pencil",
+    "GPENCIL": "grease pencil",
+}
+
+
+@dataclass
+class Collected:
+    """What `collect` found; `warnings` are lines for the user."""
+
+    parts: list[Part] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def materials(self) -> list[bpy.types.Material | None]:
+        """Materials in order of appearance, each once (original data-blocks; None is Blender's default grey)."""
+        return list(dict.fromkeys(m for part in self.parts for m in part.materials))
+
+
+def ray_visibility(ob: bpy.types.Object) -> int:
+    """The ray kinds that an object's switches let see it, as bits."""
+    return (
+        CAMERA * ob.visible_camera
+        | DIFFUSE * ob.visible_diffuse
+        | GLOSSY * ob.visible_glossy
+        | TRANSMISSION * ob.visible_transmission
+        | SHADOW * ob.visible_shadow
+    )
+
+
+def instance_visibility(instance: bpy.types.DepsgraphObjectInstance, view_layer: bpy.types.ViewLayer) -> int:
+    """Visibility of an instance as Cycles combines it: its own, its parent's, and indirect-only collections."""
+    visibility = ray_visibility(instance.object)
+    parent = instance.parent if instance.is_instance else instance.object
+    if instance.is_instance:
+        visibility &= ray_visibility(parent)
+    if parent.indirect_only_get(view_layer=view_layer) and not parent.holdout_get(view_layer=view_layer):
+        visibility &= ~CAMERA
+    return visibility
+
+
+def collect(depsgraph: bpy.types.Depsgraph) -> Collected:
+    """Copy every mesh of an evaluated scene once, and list its instances."""
+    found = Collected()
+    notes: dict[str, None] = {}  # an ordered set: one line for a thing, however often it is instanced
+    meshes: dict[int, MeshCopy | None] = {}
+    wanted = layer_names()
+    view_layer = depsgraph.view_layer_eval
+    override = view_layer.material_override
+    for instance in depsgraph.object_instances:
+        ob = instance.object
+        if depsgraph.mode == "VIEWPORT" and ob.hide_render:
+            continue
+        notes.update(dict.fromkeys(_notes(instance, view_layer)))
+        if ob.type != "MESH" or not instance.show_self:
+            continue
+        visibility = instance_visibility(instance, view_layer)
+        key = ob.data.as_pointer()
+        if visibility and key not in meshes:
+            meshes[key] = copy_mesh(ob.data, wanted, deformed=bool(ob.modifiers) or ob.data.shape_keys is not None)
+        if not visibility or meshes[key] is None:
+            continue
+        slots = [slot.material for slot in ob.material_slots] if override is None else [override]
+        found.parts.append(
+            Part(
+                mesh=meshes[key],
+                matrix=np.array(instance.matrix_world, np.float64),
+                name=ob.name,
+                original=ob.original,
+                materials=tuple(m and m.original for m in slots) or (None,),
+                visibility=visibility,
+                random_id=instance.random_id & 0xFFFFFFFF if instance.is_instance else _hash(ob.name),
+                color=tuple(ob.color),
+                pass_index=ob.pass_index,
+            )
+        )
+    found.warnings.extend(notes)
+    if not found.parts:
+        found.warnings.append("the scene has no meshes that a render shows")
+    return found
+
+
+def _notes(instance: bpy.types.DepsgraphObjectInstance, view_layer: bpy.types.ViewLayer) -> Iterator[str]:
+    """What of an instance is left out or rendered otherwise than by Cycles."""
+    ob = instance.object
+    if ob.type in _NOT_TRIANGLES and instance.show_self:
+        yield f"{_NOT_TRIANGLES[ob.type]} '{ob.name}' is left out: convert it to a mesh to see it"
+    if instance.show_particles:
+        for system in ob.particle_systems:
+            if system.settings.type == "HAIR" and system.settings.render_type == "PATH":
+                yield f"hair particles '{system.name}' of '{ob.name}' are left out: convert them to a mesh to see them"
+    if ob.type == "MESH" and ob.holdout_get(view_layer=view_layer):
+        yield f"'{ob.name}' is a holdout: it is rendered as an ordinary object"
+    if ob.type == "MESH" and ob.is_shadow_catcher:  # lamps are by default
+        yield f"'{ob.name}' is a shadow catcher: it is rendered as an ordinary object"
+    links = ob.light_linking
+    if links is not None and (links.receiver_collection or links.blocker_collection):
+        yield f"light linking of '{ob.name}' is ignored: its light falls on every object"
+
+
+def _hash(name: str) -> int:
+    """`random_id` of an object that is no instance: hash_uint2(hash_string(name), 0) of Cycles' util/hash.h (Jenkins' lookup3)."""
+    mask = 0xFFFFFFFF
+    value = 0
+    for byte in name.encode():
+        value = (value * 37 + byte) & mask
+    state = [(0xDEADBEEF + (2 << 2) + 13) & mask] * 3
+    state[0] = (state[0] + value) & mask
+    for i, j, k in ((2, 1, 14), (0, 2, 11), (1, 0, 25), (2, 1, 16), (0, 2, 4), (1, 0, 14), (2, 1, 24)):
+        rotated = (state[j] << k) | (state[j] >> (32 - k))
+        state[i] = ((state[i] ^ state[j]) - rotated) & mask
+    return state[2]
+
+
+def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, np.ndarray, list[str]]:
+    """The triangles of all parts, the float64 origin that was taken off, and warnings.
+
+    `compiled` are the materials of `found.materials`, in that order.
+
+    Raises:
+        SceneError: more triangles than memory is likely to hold.
+    """
+    parts, warnings = found.parts, []
+    vertex_counts = [len(part.mesh.vertices) for part in parts]
+    counts = [len(part.mesh.corners) for part in parts]
+    total = sum(counts)
+    if total > _MAX_TRIANGLES:
+        biggest = parts[int(np.argmax(counts))]
+        raise SceneError(
+            f"the scene has {total:,} triangles, instances counted, and at most {_MAX_TRIANGLES:,} fit: "
+            f"hide or simplify objects (the largest is '{biggest.name}' with {max(counts):,})"
+        )
+    geometry = Geometry(
+        vertices=np.empty((sum(vertex_counts), 3), np.float32),
+        triangles=np.empty((total, 3), np.int32),
+        corner_normals=np.empty((total, 3, 3), np.float32),
+        attributes=np.zeros((compiled.slots, total, 3, 4), np.float32),
+        material=np.empty(total, np.int32),
+        object=np.empty(total, np.int32),
+        object_names=[part.name for part in parts],
+        object_visibility=np.array([part.visibility for part in parts], np.uint8),
+    )
+    world = np.empty((sum(vertex_counts), 3), np.float64)
+    index = {material: i for i, material in enumerate(found.materials)}
+    mirrored, broken = np.zeros(len(parts), bool), np.zeros(len(parts), bool)
+    v = t = 0
+    for members in _batches(parts):
+        mesh, n = parts[members[0]].mesh, len(members)
+        vertices, triangles = slice(v, v + n * len(mesh.vertices)), slice(t, t + n * len(mesh.corners))
+        matrices = np.stack([parts[i].matrix for i in members])
+        normal_matrix, mirrored[members], broken[members] = _normal_matrices(matrices[:, :3, :3])
+        batch = Batch(
+            parts=[parts[i] for i in members],
+            world=world[vertices].reshape(n, -1, 3),
+            normals=geometry.corner_normals[triangles].reshape(n, -1, 3, 3),
+            normal_matrix=normal_matrix,
+        )
+        with np.errstate(all="ignore"):  # invalid coordinates are looked for below
+            np.matmul(mesh.vertices.astype(np.float64), matrices[:, :3, :3].transpose(0, 2, 1), out=batch.world)
+            batch.world += matrices[:, None, :3, 3]
+            normals = np.matmul(mesh.normals.reshape(1, -1, 3), normal_matrix.astype(np.float32))
+            batch.normals[:] = unit(normals).reshape(n, len(mesh.corners), -1, 3)
+        bases = v + len(mesh.vertices) * np.arange(n, dtype=np.int32)
+        np.add(mesh.corners, bases[:, None, None], out=geometry.triangles[triangles].reshape(n, -1, 3))
+        slots = np.array([index[m] for m in batch.parts[0].materials], np.int32)
+        material = slots[np.clip(mesh.slot, 0, len(slots) - 1)]
+        geometry.material[triangles].reshape(n, -1)[:] = material
+        geometry.object[triangles].reshape(n, -1)[:] = np.array(members, np.int32)[:, None]
+        fill(geometry.attributes[:, triangles].reshape(-1, n, len(mesh.corners), 3, 4), batch, material, compiled)
+        v, t = vertices.stop, triangles.stop
+
+    _flip(geometry, np.flatnonzero(mirrored[geometry.object]))
+    warnings += _drop_invalid(geometry, world, broken)
+    origin = 0.5 * (world.min(0) + world.max(0)) if len(world) else np.zeros(3)
+    np.subtract(world, origin, out=geometry.vertices, casting="same_kind")
+    _repair_normals(geometry)
+    return geometry, origin, warnings
+
+
+def _batches(parts: list[Part]) -> list[list[int]]:
+    """Indices of the parts that share a mesh and its materials, in order of appearance."""
+    groups: dict[tuple, list[int]] = {}
+    for i, part in enumerate(parts):
+        groups.setdefault((id(part.mesh), part.materials), []).append(i)
+    return list(groups.values())
+
+
+def _normal_matrices(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of (n, 3, 3) matrices: inverses up to a positive factor, which are mirrored, which leave no area at all.
+
+    A matrix squashed flat gives a zero matrix: its normals come from the triangles.
+    """
+    with np.errstate(all="ignore"):
+        finite = np.isfinite(linear).all((1, 2))
+        safe = np.where(finite[:, None, None], linear, np.eye(3))
+        _, s, _ = np.linalg.svd(safe)
+        flat = s[:, 2] <= _SINGULAR * s[:, 0]
+        collapsed = s[:, 1] <= _SINGULAR * s[:, 0]
+        scaled = safe / np.where(s[:, :1, None] > 0, s[:, :1, None], 1)
+        inverse = np.linalg.inv(np.where(flat[:, None, None], np.eye(3), scaled))
+    inverse[flat] = 0
+    return inverse, ~flat & (np.linalg.det(scaled) < 0), collapsed | ~finite
+
+
+def _flip(geometry: Geometry, triangles: np.ndarray) -> None:
+    """Swap two corners of the triangles: mirroring turned their winding, but not the side that Cycles calls the front."""
+    if len(triangles):
+        a, b = np.s_[triangles, 1], np.s_[triangles, 2]
+        for corners in (geometry.triangles, geometry.corner_normals, *geometry.attributes):
+            corners[a], corners[b] = corners[b], corners[a]
+
+
+def _drop_invalid(geometry: Geometry, world: np.ndarray, broken: np.ndarray) -> list[str]:
+    """Remove triangles with NaN, infinite or huge vertices and those of broken objects; `world` is made finite. Warnings."""
+    with np.errstate(invalid="ignore"):
+        valid = (np.abs(world) < _LIMIT).all(1)
+    bad = broken[geometry.object]
+    if not valid.all():
+        bad |= ~valid[geometry.triangles].all(1)
+    if not bad.any():
+        return []
+    dropped = np.bincount(geometry.object[bad], minlength=len(geometry.object_names))
+    used = np.zeros(len(world), bool)
+    used[geometry.triangles[~bad]] = True
+    world[~used] = world[used][0] if used.any() else 0  # no triangle reads it; it must not stretch the bounds
+    for name in ("triangles", "corner_normals", "material", "object"):
+        setattr(geometry, name, getattr(geometry, name)[~bad])
+    geometry.attributes = np.ascontiguousarray(geometry.attributes[:, ~bad])
+    return [
+        f"'{geometry.object_names[i]}': {dropped[i]} triangles dropped, "
+        + ("its scale is zero or invalid: apply or reset it" if broken[i] else "they have invalid coordinates (NaN, infinite or huge)")
+        for i in np.flatnonzero(dropped)
+    ]
+
+
+def _repair_normals(geometry: Geometry) -> None:
+    """Give the geometric normal to corners that have none (squashed objects, broken custom normals)."""
+    normals = geometry.corner_normals
+    squared = np.einsum("tkc,tkc->tk", normals, normals)
+    bad = ~((squared > 0.5) & (squared < 2))
+    if bad.any():
+        triangles, corner = np.nonzero(bad)
+        faces = unit(face_normals(geometry.vertices, geometry.triangles[triangles]))
+        faces[~faces.any(1)] = (0, 0, 1)
+        normals[triangles, corner] = faces

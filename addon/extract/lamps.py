@@ -1,0 +1,197 @@
+"""Blender's lights in the units of `core.scene.Lamps`: what Cycles' light.cpp and kernel/light/*.h make of them.
+
+With radiant power P (colour, exposure and node tree multiplied in), Cycles' conventions are
+    point, spot   intensity P / (4 pi) in every direction of the cone; a sphere of radius r has the radiance
+                  P / (4 pi^2 r^2), or P / pi where `normalize` is off
+    sun           irradiance P on a plane that faces it, or radiance P where `normalize` is off
+    area          radiance P / (4 A), or P / 4, times the softbox factor of its spread
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+
+from ...core.scene import AREA, ELLIPSE, POINT, RECTANGLE, SPOT, SUN, Lamps, Skipped
+from .geometry import instance_visibility
+from .nodes import constant_emission, node_tree, surface_node
+
+_KINDS = {"POINT": POINT, "SPOT": SPOT, "SUN": SUN, "AREA": AREA}
+# Cycles treats a spread of zero as parallel light; the narrowest softbox here has the same power.
+_MIN_SPREAD = math.radians(0.1)
+
+
+@dataclass
+class Lamp:
+    """One lamp in world space, float64; the fields are those of `Lamps`."""
+
+    name: str
+    kind: int
+    position: np.ndarray
+    axes: np.ndarray
+    emission: np.ndarray
+    visibility: int
+    radius: float = 0.0
+    soft_falloff: bool = False
+    angle: float = 0.0
+    blend: float = 0.0
+    size: tuple[float, float] = (0.0, 0.0)
+    shape: int = RECTANGLE
+    cast_shadow: bool = True
+    group: str = ""
+
+
+@dataclass
+class CollectedLamps:
+    """What `collect_lamps` found, with lines for the user."""
+
+    lamps: list[Lamp] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    skipped: list[Skipped] = field(default_factory=list)
+
+    def skip(self, name: str, why: str) -> None:
+        self.skipped.append(Skipped("lamps", f"lamp '{name}' {why}"))
+
+
+def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
+    """Every lamp that an evaluated scene shows to a render."""
+    found = CollectedLamps()
+    view_layer = depsgraph.view_layer_eval
+    seen = set()
+    for instance in depsgraph.object_instances:
+        ob = instance.object
+        if ob.type != "LIGHT" or not instance.show_self or (depsgraph.mode == "VIEWPORT" and ob.hide_render):
+            continue
+        seen.add(ob.name)
+        light = ob.data
+        if light.type == "AREA" and light.cycles.is_portal:
+            found.skip(ob.name, "is a portal: it guides Cycles' sampling and shines no light of its own")
+            continue
+        visibility = instance_visibility(instance, view_layer)
+        matrix = np.array(instance.matrix_world, np.float64)
+        if not np.isfinite(matrix).all() or not np.linalg.norm(matrix[:3, :3], axis=0).all():
+            found.skip(ob.name, "has a scale of zero or an invalid position: reset its transform")
+            continue
+        power = _power(light, ob.name, found.warnings)
+        if not power.any():
+            found.skip(ob.name, "has no power")
+        elif (power < 0).any():
+            found.skip(ob.name, "has negative power, which darkens in Cycles: set a positive one")
+        elif visibility == 0:
+            found.skip(ob.name, "is invisible to every kind of ray")
+        else:
+            parent = instance.parent if instance.is_instance else ob
+            lamp = Lamp(
+                name=ob.name,
+                kind=_KINDS[light.type],
+                position=matrix[:3, 3],
+                axes=(matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)).T,
+                emission=power,
+                visibility=visibility,
+                cast_shadow=light.use_shadow,
+                group=ob.lightgroup or parent.lightgroup,
+            )
+            _SHAPERS[light.type](lamp, light, np.linalg.norm(matrix[:3, :3], axis=0), found)
+            if lamp.emission.any():
+                found.lamps.append(lamp)
+            else:
+                found.skip(ob.name, "has no size")
+    for ob in depsgraph.scene.objects:
+        if ob.type == "LIGHT" and ob.name not in seen:
+            found.skip(ob.name, "is hidden from renders")
+    return found
+
+
+def to_arrays(lamps: list[Lamp], origin: np.ndarray) -> Lamps:
+    """The lamps as arrays, positions relative to `origin`."""
+    if not lamps:
+        return Lamps.empty()
+
+    def column(name, dtype=np.float32):
+        return np.array([getattr(lamp, name) for lamp in lamps], dtype)
+
+    return Lamps(
+        kind=column("kind", np.int32),
+        position=(column("position", np.float64) - origin).astype(np.float32),
+        axes=column("axes"),
+        emission=column("emission"),
+        radius=column("radius"),
+        soft_falloff=column("soft_falloff", np.uint8),
+        angle=column("angle"),
+        blend=column("blend"),
+        size=column("size"),
+        shape=column("shape", np.int32),
+        visibility=column("visibility", np.uint8),
+        cast_shadow=column("cast_shadow", np.uint8),
+        names=[lamp.name for lamp in lamps],
+        groups=[lamp.group for lamp in lamps],
+    )
+
+
+def _power(light: bpy.types.Light, name: str, warnings: list[str]) -> np.ndarray:
+    """(3,) power with colour, temperature, exposure and constant nodes."""
+    power = np.array(light.color, np.float64) * light.energy * 2.0**light.exposure
+    if light.use_temperature:
+        power *= np.array(light.temperature_color, np.float64)
+    tree = node_tree(light)
+    if tree is None:
+        return power
+    factor = constant_emission(surface_node(tree))
+    if factor is None:
+        warnings.append(f"the nodes of lamp '{name}' vary or are not understood: it shines evenly, with its own power and colour")
+        return power
+    return power * factor
+
+
+def _shape_point(lamp: Lamp, light: bpy.types.PointLight, scale: np.ndarray, found: CollectedLamps) -> None:
+    lamp.radius = light.shadow_soft_size
+    lamp.soft_falloff = light.use_soft_falloff
+    if light.normalize:
+        lamp.emission = lamp.emission / (4 * math.pi)
+    else:
+        lamp.emission = lamp.emission * (lamp.radius**2 if lamp.radius > 0 else 1 / math.pi)
+
+
+def _shape_spot(lamp: Lamp, light: bpy.types.SpotLight, scale: np.ndarray, found: CollectedLamps) -> None:
+    _shape_point(lamp, light, scale, found)
+    lamp.angle, lamp.blend = light.spot_size, light.spot_blend
+    if not np.allclose(scale[:2], scale[0], rtol=1e-3):
+        found.warnings.append(f"the scale of spot lamp '{lamp.name}' makes its cone elliptic: it is rendered round, with the mean width")
+    if lamp.angle < math.pi and scale[:2].mean() != scale[2]:
+        lamp.angle = 2 * math.atan(math.tan(0.5 * lamp.angle) * scale[:2].mean() / scale[2])
+
+
+def _shape_sun(lamp: Lamp, light: bpy.types.SunLight, scale: np.ndarray, found: CollectedLamps) -> None:
+    lamp.angle = light.angle
+    if not light.normalize and lamp.angle > 0:
+        lamp.emission = lamp.emission * math.pi * math.sin(0.5 * lamp.angle) ** 2
+
+
+def _shape_area(lamp: Lamp, light: bpy.types.AreaLight, scale: np.ndarray, found: CollectedLamps) -> None:
+    size_y = light.size_y if light.shape in ("RECTANGLE", "ELLIPSE") else light.size
+    lamp.size = (light.size * scale[0], size_y * scale[1])
+    lamp.shape = ELLIPSE if light.shape in ("DISK", "ELLIPSE") else RECTANGLE
+    lamp.angle = max(light.spread, _MIN_SPREAD)
+    area = lamp.size[0] * lamp.size[1] * (0.25 * math.pi if lamp.shape == ELLIPSE else 1)
+    if area <= 0:
+        lamp.emission = np.zeros(3)
+        return
+    lamp.emission = lamp.emission * 0.25 * _softbox(0.5 * lamp.angle) / (area if light.normalize else 1)
+
+
+def _softbox(half: float) -> float:
+    """Radiance on the axis, relative to a lamp without a softbox, that keeps its power (Cycles: `normalize_spread`).
+
+    The softbox dims by 1 - tan(x) / tan(half) at the angle x from the axis.
+    """
+    if half >= 0.5 * math.pi - 1e-6:
+        return 1.0
+    if half <= 0.05:
+        return 3 * math.tan(half) / half**3
+    return math.tan(half) / (math.tan(half) - half)
+
+
+_SHAPERS = {"POINT": _shape_point, "SPOT": _shape_spot, "SUN": _shape_sun, "AREA": _shape_area}
