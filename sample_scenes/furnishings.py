@@ -110,7 +110,8 @@ def curtain(
     the height), where the cloth is drawn to x = 0; None lets it hang freely.
     """
     rng = np.random.default_rng(seed)
-    t, s = np.meshgrid(np.linspace(0, 1, detail.segments(24, 5)), np.linspace(0, 1, detail.segments(8, 3) * folds + 1), indexing="ij")
+    folds = folds if detail.full else (folds + 1) // 2
+    t, s = np.meshgrid(np.linspace(0, 1, detail.segments(24, 4)), np.linspace(0, 1, detail.segments(8, 3) * folds + 1), indexing="ij")
     if gathered is None:
         span = width * (1 - 0.06 * t)
         start = np.zeros_like(t) + 0.03 * width * t
@@ -138,10 +139,10 @@ def pot(detail: Detail, height: float, radius: float) -> Shape:
     wall = 0.1 * radius
     outer = np.array([(0.66, 0.0), (0.7, 0.03), (0.86, 0.45), (0.93, 0.86), (1.04, 0.87), (1.08, 0.93), (1.04, 1.0)]) * [radius, height]
     inner = np.array([(0.97 * radius - wall, height), (0.93 * radius - wall, 0.86 * height), (0.2 * radius, 0.84 * height)])
-    vessel = lathe(np.concatenate([outer, inner]), detail.segments(32, 10))
+    vessel = lathe(np.concatenate([outer, inner]), detail.segments(32, 6))
     earth = lathe(
         np.array([(0.9 * radius - wall, 0.7 * height), (0.95 * radius - wall, 0.9 * height), (0.1 * radius, 0.93 * height)]),
-        detail.segments(24, 8),
+        detail.segments(24, 6),
     )
     return joined([vessel, earth.slotted(1)])
 
@@ -183,13 +184,13 @@ def shrub(detail: Detail, seed: int, radius: float, leaf: float, leaves: int = 4
     """A clipped round shrub of single leaves without thickness, centred on the origin; `leaf` is a leaf's length."""
     rng = np.random.default_rng(seed)
     parts = []
-    for _ in range(detail.segments(leaves, leaves // 8)):
+    for _ in range(detail.segments(leaves, leaves // 26)):
         direction = rng.normal(size=3)
         direction /= np.linalg.norm(direction)
         root = direction * radius * rng.uniform(0.55, 1.0) ** 0.5
         rise = np.arcsin(np.clip(direction[2] * 0.6 + rng.normal(0, 0.25), -1, 1))
         heading = np.arctan2(direction[1], direction[0]) + rng.normal(0, 0.7)
-        size = leaf * rng.uniform(0.7, 1.15) * (1.0 if detail.full else 2.2)
+        size = leaf * rng.uniform(0.7, 1.15) * (1.0 if detail.full else 3.0)
         parts.append(_blade(root, heading, rise, size, 0.5 * size, rng.uniform(0.3, 1.2), 2))
     return joined(parts)
 

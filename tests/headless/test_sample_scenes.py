@@ -85,3 +85,8 @@ def test_furnace_radiance_approaches_its_closed_form():
     assert indirect_radiance(0.5, 2.0, 1) == pytest.approx(0.5)
     emitted, direct = 2.0, 0.5 * 2.0
     assert emitted + direct + indirect_radiance(0.5, 2.0, 60) == pytest.approx(2.0 / (1 - 0.5))
+
+
+def test_full_atrium_is_as_detailed_as_a_real_scene():
+    sample_scenes.build("atrium")
+    assert triangle_count() >= 200_000
