@@ -40,6 +40,7 @@ REFERENCE_VERSION = 1
 # Far above what carries light, and bounded all the same, for a closed room of mirrors.
 _MANY_BOUNCES = 256
 _MOST_BOUNCES = 1024  # Blender's own limit
+_SMALLEST_SIDE = 4  # pixels; Blender raises smaller ones in silence
 # Blender 4.5's names of passes in a file, and those of 5.x.
 _LONG_NAMES = {
     "DiffDir": "Diffuse Direct",
@@ -72,7 +73,7 @@ class ReferenceSettings:
 
     spp: samples a pixel.  size: (width, height) in pixels, None for the scene's own.  bounces: diffuse bounces
     of the indirect light.  camera: name, None for the scene's own.  frame: None for the current one.
-    border: (x0, y0, x1, y1) pixels, x to the right, y down: the part to be rendered, None for all.
+    border: (x0, y0, x1, y1) pixels, x to the right, y down: the part to be rendered, None for the scene's own.
     view_layer: name, None for the first.  guiding: Cycles' path guiding.
     denoise: OIDN with albedo and normal guides on `denoised`;  prefilter: on guides denoised first.
     """
@@ -126,12 +127,15 @@ def render_layers(
         SceneError: the scene cannot be rendered.
         Cancelled: the user stopped the render.
     """
+    if not hasattr(scene, "cycles"):
+        raise SceneError("Cycles is not enabled in this Blender; enable the add-on 'Cycles Render Engine'")
     camera = _camera(scene, settings.camera)
     view_layer = _view_layer(scene, settings.view_layer)
     frame = scene.frame_current, scene.frame_subframe
     width, height = settings.size or _size(scene)
+    border = settings.border or _scene_border(scene, width, height)
     warnings = _differences(scene, camera)
-    with _changed(_changes(scene, view_layer, camera, (width, height), settings, threads)):
+    with _changed(_changes(scene, view_layer, camera, (width, height), border, settings, threads)):
         try:
             if settings.frame is not None:
                 scene.frame_set(settings.frame)
@@ -140,8 +144,8 @@ def render_layers(
             if settings.frame is not None:
                 scene.frame_set(frame[0], subframe=frame[1])
     layers = _layers(passes)
-    if settings.border is not None:
-        layers.offset, layers.full_size = settings.border[:2], (width, height)
+    if border is not None:
+        layers.offset, layers.full_size = border[:2], (width, height)
     if settings.denoise:
         denoiser = denoiser or Denoiser()
         _denoise(layers, settings, threads, denoiser, seconds)
@@ -185,7 +189,17 @@ def _view_layer(scene: bpy.types.Scene, name: str | None) -> bpy.types.ViewLayer
 
 def _size(scene: bpy.types.Scene) -> tuple[int, int]:
     render = scene.render
-    return tuple(max(1, side * render.resolution_percentage // 100) for side in (render.resolution_x, render.resolution_y))
+    return tuple(side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
+
+
+def _scene_border(scene: bpy.types.Scene, width: int, height: int) -> tuple[int, int, int, int] | None:
+    """The scene's own render region in pixels, y down, cut off to whole pixels as Blender does."""
+    render = scene.render
+    if not render.use_border:
+        return None
+    x0, x1 = int(render.border_min_x * width), int(render.border_max_x * width)
+    y0, y1 = int(render.border_min_y * height), int(render.border_max_y * height)
+    return x0, height - y1, x1, height - y0
 
 
 def _differences(scene: bpy.types.Scene, camera: bpy.types.Object) -> list[str]:
@@ -211,9 +225,11 @@ def _border(border: tuple[int, int, int, int], width: int, height: int) -> dict[
     }
 
 
-def _changes(scene, view_layer, camera, size: tuple[int, int], settings: ReferenceSettings, threads: int) -> list[tuple]:
+def _changes(scene, view_layer, camera, size: tuple[int, int], border, settings: ReferenceSettings, threads: int) -> list[tuple]:
     """(owner, values) of everything that a reference sets; what a version of Blender does not know is passed over."""
     width, height = size
+    if min(size) < _SMALLEST_SIDE:
+        raise SceneError(f"Cycles renders no picture of {width}x{height} pixels; both sides must be {_SMALLEST_SIDE} or more")
     return [
         # The engine first: its settings exist only once it is known.
         (
@@ -223,9 +239,9 @@ def _changes(scene, view_layer, camera, size: tuple[int, int], settings: Referen
                 "resolution_x": width,
                 "resolution_y": height,
                 "resolution_percentage": 100,
-                "use_border": settings.border is not None,
+                "use_border": border is not None,
                 "use_crop_to_border": True,
-                **(_border(settings.border, width, height) if settings.border else {}),
+                **(_border(border, width, height) if border else {}),
                 "threads_mode": "FIXED" if threads else "AUTO",
                 **({"threads": threads} if threads else {}),
                 "use_motion_blur": False,
