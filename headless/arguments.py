@@ -164,7 +164,8 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
     demo = commands.add_parser("demo", help="the built-in atrium: layers, pictures and figures")
-    demo.add_argument("-o", "--output", type=output_folder, metavar="DIR", help="where the files go (default: demo)")
+    demo.add_argument("-o", "--output", type=output_folder, default="demo", metavar="DIR", help="where the files go (default: %(default)s)")
+    demo.add_argument("--size", type=resolution, metavar="WxH", help="pixels (default: the scene's)")
 
     render = commands.add_parser("render", help="a scene's indirect light into a multilayer EXR file")
     _add_scene(render, scene_is_open)

@@ -38,16 +38,16 @@ def main(argv: list[str] | None = None, *, in_blender: bool = False) -> int:
 def _run(arguments) -> int:
     from ..core.errors import SceneError
     from ..core.threads import Cancelled
-    from .console import one_line, open_terminal
+    from .console import open_terminal
 
     with _terminate_as_interrupt(), open_terminal() as terminal:
         try:
             importlib.import_module(f".commands.{arguments.command}", __package__).run(arguments, terminal)
         except SceneError as error:
-            terminal.err.print(f"lumigate: error: {one_line(error)}", markup=False)
+            terminal.say(f"lumigate: error: {error}")
             return 2
         except (Cancelled, KeyboardInterrupt):
-            terminal.err.print("lumigate: cancelled", markup=False)
+            terminal.say("lumigate: cancelled")
             return 130
     return 0
 

@@ -13,7 +13,9 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import TextIO
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+_PIPE_WIDTH = 200  # columns of a table where no terminal says how many there are
 
 
 @contextmanager
@@ -49,12 +51,17 @@ class Terminal:
     """The user's two streams: `out` for results, `err` for progress and messages; both are rich consoles."""
 
     def __init__(self, out: TextIO, err: TextIO):
-        self.out = Console(file=out, highlight=False, soft_wrap=not out.isatty())
-        self.err = Console(file=err, highlight=False, soft_wrap=not err.isatty())
+        self.out, self.err = (
+            Console(file=stream, highlight=False, width=None if stream.isatty() else _PIPE_WIDTH) for stream in (out, err)
+        )
 
     def warn(self, message: str) -> None:
         """One line on stderr about something that will look wrong."""
-        self.err.print(f"lumigate: warning: {one_line(message)}", markup=False)
+        self.say(f"lumigate: warning: {message}")
+
+    def say(self, message: str) -> None:
+        """One line on stderr, however long."""
+        self.err.print(one_line(message), markup=False, soft_wrap=True)
 
     @contextmanager
     def progress(self) -> Iterator[ProgressBar]:
@@ -69,6 +76,15 @@ class Terminal:
         )
         with Progress(*columns, console=self.err, transient=True, disable=not self.err.is_terminal) as bars:
             yield ProgressBar(bars)
+
+    @contextmanager
+    def waiting(self, stage: str) -> Iterator[None]:
+        """A spinner, on a terminal only, for work that cannot say how far it is."""
+        with Progress(
+            SpinnerColumn(), TextColumn(stage), TimeElapsedColumn(), console=self.err, transient=True, disable=not self.err.is_terminal
+        ) as bars:
+            bars.add_task(stage, total=None)
+            yield
 
 
 class ProgressBar:

@@ -32,4 +32,6 @@ def _save(frame: Frame, output: Path, stats: Path | None, terminal: Terminal) ->
     if stats is not None:
         write_json(stats, frame.stats)
     width, height = frame.stats["size"]
-    terminal.out.print(f"{output}: {width}x{height}, {frame.stats['method']}, {frame.stats['seconds_total']:.2f} s", markup=False)
+    terminal.out.print(
+        f"{output}: {width}x{height}, {frame.stats['method']}, {frame.stats['seconds_total']:.2f} s", markup=False, soft_wrap=True
+    )

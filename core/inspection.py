@@ -1,0 +1,70 @@
+"""What a scene holds, what will be skipped and what will be wrong, before any ray is traced."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .lamps import Emitters
+from .lamps.tables import TRIANGLE
+from .scene import ALL_RAYS, AREA, CAMERA, CONSTANT, DIFFUSE, EMISSIVE, POINT, SHADOW, SPOT, SUN, TRANSPARENT, Scene, Skipped
+from .surfaces.layout import DIFFUSE as DIFFUSE_ALBEDO
+
+LAMP_KINDS = {POINT: "point", SPOT: "spot", SUN: "sun", AREA: "area"}
+NO_LIGHT = "nothing in the scene gives light: add a lamp, an emissive material or a world colour"
+NO_GEOMETRY = "no triangle is left to be hit: only the world will be seen; check what is hidden from the render"
+
+
+def contents(scene: Scene, emitters: Emitters) -> dict:
+    """Counts and sizes of what `scene` holds, as values of JSON."""
+    geometry, tables, lamps, camera = scene.geometry, scene.materials.tables, scene.lamps, scene.camera
+    arrays = (geometry.vertices, geometry.triangles, geometry.corner_normals, geometry.attributes, geometry.material, geometry.object)
+    height, width = scene.world.radiance.shape[:2]
+    low, high = emitters.box
+    return {
+        "frame": scene.frame,
+        "view_layer": scene.view_layer,
+        "triangles": len(geometry.triangles),
+        "instances": len(geometry.object_names),
+        "objects": len(set(geometry.object_names)),
+        "geometry_mib": sum(array.nbytes for array in arrays) / 2**20,
+        "extent_m": [float(side) for side in high - low],
+        "materials": {
+            "count": len(scene.materials.names),
+            "textured": int(((tables.flags & CONSTANT) == 0).sum()),
+            "emissive": int(((tables.flags & EMISSIVE) != 0).sum()),
+            "transparent": int(((tables.flags & TRANSPARENT) != 0).sum()),
+        },
+        "textures": {"count": len(tables.texture_header), "mib": (tables.texels_u8.nbytes + tables.texels_f32.nbytes) / 2**20},
+        "lamps": {kind: int((lamps.kind == code).sum()) for code, kind in LAMP_KINDS.items()},
+        "emissive_triangles": int((emitters.kind == TRIANGLE).sum()),
+        "world": {"image": [width, height], "mean_radiance": [float(v) for v in scene.world.radiance.mean(axis=(0, 1))]},
+        "flux_w": [float(v) for v in emitters.flux.sum(axis=0)],
+        "camera": {
+            "name": camera.name,
+            "kind": "orthographic" if camera.orthographic else "perspective",
+            "size": [camera.width, camera.height],
+            "border": list(camera.border),
+        },
+    }
+
+
+def foresee(scene: Scene, emitters: Emitters) -> tuple[list[Skipped], list[str]]:
+    """What a render of `scene` will leave out, and what will be wrong with it, as far as no ray is needed to know."""
+    geometry, tables = scene.geometry, scene.materials.tables
+    shining = set(emitters.lamps.source.tolist())
+    skipped = [Skipped("lamps", f"lamp '{name}' gives no light") for i, name in enumerate(scene.lamps.names) if i not in shining]
+    worn = np.bincount(geometry.material, minlength=len(tables.flags)) > 0
+    skipped += [Skipped("materials", f"material '{name}' is on no triangle") for name, used in zip(scene.materials.names, worn) if not used]
+    hit = geometry.object_visibility & (CAMERA | DIFFUSE | SHADOW) & ALL_RAYS != 0
+    skipped += [
+        Skipped("rays", f"object '{geometry.object_names[i]}' is hidden from every ray that is traced") for i in np.flatnonzero(~hit)
+    ]
+    warnings = []
+    if not len(geometry.triangles):
+        warnings.append(NO_GEOMETRY)
+    if not len(emitters.kind):
+        warnings.append(NO_LIGHT)
+    black = ((tables.flags & CONSTANT) != 0) & (tables.constant[:, DIFFUSE_ALBEDO : DIFFUSE_ALBEDO + 3] <= 0).all(axis=1)
+    if worn.any() and black[worn].all():
+        skipped.append(Skipped("vpls", "every albedo is black: there is no indirect light"))
+    return skipped, warnings

@@ -1,0 +1,64 @@
+"""`lumigate inspect`: what a scene holds, what will be skipped and why, and what will be wrong."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+
+from rich.markup import escape
+from rich.table import Table
+
+from ...core.inspection import contents, foresee
+from ...core.lamps import build_emitters
+from ...core.scene import Scene
+from ..console import Terminal
+from ..results import write_json
+from ..sources import extract, open_source
+
+
+def run(arguments: Namespace, terminal: Terminal) -> None:
+    """Print the report, and write it as JSON where asked."""
+    source = open_source(arguments.scene)
+    report = inspect(extract(source, camera=arguments.camera, size=arguments.size, frame=arguments.frame))
+    _print(report, arguments.scene or source.name, terminal)
+    if arguments.json is not None:
+        write_json(arguments.json, report)
+
+
+def inspect(scene: Scene) -> dict:
+    """`core.inspection.contents` of `scene`, with `skipped` and `warnings` as in `--stats`."""
+    emitters = build_emitters(scene)
+    skipped, warnings = foresee(scene, emitters)
+    return {
+        **contents(scene, emitters),
+        "skipped": [vars(s) for s in (*scene.skipped, *skipped)],
+        "warnings": [*scene.warnings, *warnings],
+    }
+
+
+def _print(report: dict, title: str, terminal: Terminal) -> None:
+    materials, textures, world, camera = (report[name] for name in ("materials", "textures", "world", "camera"))
+    lamps = ", ".join(f"{count} {kind}" for kind, count in report["lamps"].items() if count) or "none"
+    image = "x".join(map(str, world["image"])) + " pixels" if world["image"] != [1, 1] else "one colour"
+    rows = {
+        "triangles": f"{report['triangles']:,} in {report['instances']:,} instances of {report['objects']:,} objects, {report['geometry_mib']:.0f} MiB",
+        "extent": " x ".join(f"{side:.3g}" for side in report["extent_m"]) + " m",
+        "materials": f"{materials['count']} ({materials['textured']} textured, {materials['emissive']} emissive, {materials['transparent']} transparent)",
+        "textures": f"{textures['count']}, {textures['mib']:.0f} MiB",
+        "lamps": f"{lamps}; {report['emissive_triangles']:,} emissive triangles",
+        "world": f"{image}, mean radiance " + " ".join(f"{value:.3g}" for value in world["mean_radiance"]),
+        "light": " ".join(f"{value:.3g}" for value in report["flux_w"]) + " W into the scene (red, green, blue)",
+        "camera": f"{camera['name']}, {camera['kind']}, {camera['size'][0]}x{camera['size'][1]} pixels",
+    }
+    table = Table(title=escape(title), show_header=False, title_justify="left")
+    table.add_column(style="bold")
+    table.add_column()
+    for name, text in rows.items():
+        table.add_row(name, escape(text))
+    terminal.out.print(table)
+    for heading, lines in (
+        ("will be skipped", [f"{s['stage']}: {s['reason']}" for s in report["skipped"]]),
+        ("will be wrong", report["warnings"]),
+    ):
+        terminal.out.print(f"{heading}:" if lines else f"{heading}: nothing", style="bold")
+        for line in lines:
+            terminal.out.print(f"  {line}", markup=False, soft_wrap=True)
