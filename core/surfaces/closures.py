@@ -169,8 +169,16 @@ def sheen(surface, strength, roughness, tr, tg, tb, wr, wg, wb, cosine):
 
 @inlined
 def sheen_albedo(cosine, roughness):
-    """Albedo of the microfibre sheen lobe (fit to Zeltner, Burley and Chiang 2022)."""
-    return F(0.3) * roughness * (F(1) - cosine) ** 2 + F(0.05)
+    """Albedo of the microfibre sheen lobe (Zeltner, Burley and Chiang 2022).
+
+    MaterialX's Gaussian fit to their table; Cycles reads the table, from which the fit differs by at most 0.02.
+    """
+    x, y = cosine, max(roughness, F(0.01))
+    s = y * (F(0.0206607) + F(1.58491) * y) / (F(0.0379424) + y * (F(1.32227) + y))
+    m = y * (F(-0.193854) + y * (F(-1.14885) + y * (F(1.7932) - F(0.95943) * y * y))) / (F(0.046391) + y)
+    o = y * (F(0.000654023) + (F(-0.0207818) + F(0.119681) * y) * y) / (F(1.26264) + y * (F(-1.92021) + y))
+    t = (x - m) / s
+    return min(max(np.exp(F(-0.5) * t * t) / (s * F(2.5066283)) + o, F(0)), F(1))
 
 
 @inlined

@@ -102,14 +102,14 @@ class Grid:
 
 
 def new_node(tree, node_type, inputs=None, **settings):
-    """A node with properties and input values set; an input given as a socket is linked."""
+    """A node with properties and input values set; an input given as a function is linked to `value(tree)`."""
     node = tree.nodes.new(node_type)
     for key, value in settings.items():
         setattr(node, key, value)
     for key, value in (inputs or {}).items():
         socket = node.inputs[key] if isinstance(key, int) else next(s for s in node.inputs if key in (s.identifier, s.name))
-        if isinstance(value, bpy.types.NodeSocket):
-            tree.links.new(value, socket)
+        if callable(value):
+            tree.links.new(value(tree), socket)
         else:
             socket.default_value = value
     return node
