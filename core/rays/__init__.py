@@ -9,10 +9,11 @@ from .offsets import hit_point, offset_origin, shadow_segment
 from .order import morton_order
 from .packet import WIDTH, Packet, disable_ray, hit_t, hit_triangle, hit_u, hit_v, is_occluded, new_packet, set_ray
 from .scene import Hits, RayScene, intersect, occluded
-from .trace import ALL, CUTOUT, OPAQUE, intersect1, intersect_packet, occluded1, occluded_packet
+from .trace import ALL, COHERENT, CUTOUT, OPAQUE, intersect1, intersect_packet, occluded1, occluded_packet
 
 __all__ = [
     "ALL",
+    "COHERENT",
     "CUTOUT",
     "OPAQUE",
     "WIDTH",

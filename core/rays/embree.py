@@ -22,16 +22,19 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from ..jit import kernel
+from ..jit import inlined, kernel
 from . import packet as pk
+from .memory import read_float, read_int, write_float, write_int
 from .partition import Partition
-from .trace import CUTOUT, OPAQUE, register_backend
+from .trace import COHERENT, CUTOUT, OPAQUE, register_backend
 
 GEOMETRY_TRIANGLE = 0
 BUFFER_INDEX, BUFFER_VERTEX = 0, 1
 FORMAT_UINT3, FORMAT_FLOAT3 = 0x5003, 0x9003
 SCENE_ROBUST = 1 << 2
 BUILD_MEDIUM = 1
+QUERY_COHERENT = 1 << 16
+FEATURES_ALL = 0xFFFFFFFF
 PROPERTY_VERSION, PROPERTY_RAY8, PROPERTY_RAY16, PROPERTY_RAY_MASK = 0, 33, 34, 64
 VERTEX_PADDING = 16  # bytes that Embree may read past the last vertex
 
@@ -116,9 +119,11 @@ def native_width(config: str = "") -> int:
 
 
 class EmbreeTables(NamedTuple):
-    """What kernels need to trace: addresses as integers (0: an empty set) and the way back to triangles.
+    """What kernels need to trace, all of it addresses and numbers (np.uintp), so that passing it costs nothing.
 
-    opaque, cutout: RTCScene.  occluded, intersect: the packet functions of `width`.
+    opaque, cutout: RTCScene, 0 for an empty set.  width: rays of a native packet.
+    occluded, intersect: the packet functions of that width;  occluded_single, intersect_single: of one ray.
+    coherent: query arguments for packets that stay together.
     first: (G,) int32 of each geometry into `triangle`;  triangle: (P,) int32, the caller's indices.
     """
 
@@ -129,8 +134,35 @@ class EmbreeTables(NamedTuple):
     intersect: int
     occluded_single: int
     intersect_single: int
-    first: np.ndarray
-    triangle: np.ndarray
+    coherent: int
+    first: int
+    triangle: int
+
+
+class _QueryContext(ctypes.Structure):
+    """RTCRayQueryContext, with room for every instance level an Embree may be built with."""
+
+    _fields_ = (("instance", c_uint * 32),)
+
+
+class _QueryArguments(ctypes.Structure):
+    """RTCOccludedArguments and RTCIntersectArguments."""
+
+    _fields_ = (
+        ("flags", c_int),
+        ("features", c_uint),
+        ("context", c_void_p),
+        ("filter", c_void_p),
+        ("user", c_void_p),
+        ("min_width_distance_factor", ctypes.c_float),
+    )
+
+
+@functools.cache
+def _coherent_arguments() -> tuple[_QueryArguments, _QueryContext]:
+    context = _QueryContext()
+    ctypes.memset(ctypes.addressof(context), 0xFF, ctypes.sizeof(context))  # RTC_INVALID_GEOMETRY_ID
+    return _QueryArguments(QUERY_COHERENT, FEATURES_ALL, ctypes.addressof(context), None, None, 0.0), context
 
 
 class EmbreeBackend:
@@ -168,18 +200,20 @@ class EmbreeBackend:
             lib.rtcCommitScene(scenes[s])
             _check(dev)
         width = native_width(config)
-        address = {name: ctypes.cast(getattr(lib, name), c_void_p).value for name in _TRACERS}
-        self.tables = EmbreeTables(
-            scenes[0],
-            scenes[1],
+        function = {name: ctypes.cast(getattr(lib, name), c_void_p).value for name in _TRACERS}
+        self._first, self._triangle = np.array(first, np.int32), partition.triangle
+        words = (
+            *scenes,
             width,
-            address[f"rtcOccluded{width}"],
-            address[f"rtcIntersect{width}"],
-            address["rtcOccluded1"],
-            address["rtcIntersect1"],
-            np.array(first, np.int32),
-            partition.triangle,
+            function[f"rtcOccluded{width}"],
+            function[f"rtcIntersect{width}"],
+            function["rtcOccluded1"],
+            function["rtcIntersect1"],
+            ctypes.addressof(_coherent_arguments()[0]),
+            self._first.ctypes.data,
+            self._triangle.ctypes.data,
         )
+        self.tables = EmbreeTables(*map(np.uintp, words))
 
     def close(self) -> None:
         """Release the scenes now (they are released with this object at the latest)."""
@@ -188,17 +222,17 @@ class EmbreeBackend:
 
 
 @intrinsic
-def _call_packet(typingctx, function, valid, scene, rays):
-    """function(const int *valid, RTCScene, RTCRay*N *, NULL) for an address known at run time only."""
+def _call_packet(typingctx, function, valid, scene, rays, arguments):
+    """function(const int *valid, RTCScene, RTCRay*N *, args) for an address known at run time only."""
 
     def codegen(context, builder, signature, args):
         word = cgutils.voidptr_t
         kind = cgutils.ir.FunctionType(cgutils.ir.VoidType(), [word] * 4)
-        function, valid, scene, rays = (builder.inttoptr(a, word) for a in args)
-        builder.call(builder.bitcast(function, kind.as_pointer()), [valid, scene, rays, cgutils.get_null_value(word)])
+        function, *rest = (builder.inttoptr(a, word) for a in args)
+        builder.call(builder.bitcast(function, kind.as_pointer()), rest)
         return context.get_dummy_value()
 
-    return types.void(types.uintp, types.uintp, types.uintp, types.uintp), codegen
+    return types.void(*[types.uintp] * 5), codegen
 
 
 @intrinsic
@@ -212,96 +246,124 @@ def _call_single(typingctx, function, scene, ray):
         builder.call(builder.bitcast(function, kind.as_pointer()), [scene, ray, cgutils.get_null_value(word)])
         return context.get_dummy_value()
 
-    return types.void(types.uintp, types.uintp, types.uintp), codegen
+    return types.void(*[types.uintp] * 3), codegen
 
 
-@kernel
-def _call_parts(function, width, scene, packet, rows_back):
-    """Trace the 16 lanes as 16 / width native packets; `rows_back` rows of the results are copied back."""
-    f, w = packet.f, pk.WIDTH
-    base = np.uintp(f.ctypes.data)
-    part = base + np.uintp(4 * pk.SCRATCH)
-    for begin in range(0, w, width):
+@inlined
+def _trace_parts(function, width, scene, packet, arguments, last_row):
+    """Trace the 16 lanes as 16 / width native packets in the scratch rows; rows T_FAR..last_row come back."""
+    part = packet + np.uintp(4 * pk.SCRATCH)
+    for begin in range(0, pk.WIDTH, width):
         for row in range(pk.ROWS):
             for lane in range(width):
-                f[pk.SCRATCH + row * width + lane] = f[row * w + begin + lane]
-        _call_packet(function, part + np.uintp(4 * pk.VALID * width), scene, part)
-        for row in range(rows_back[0], rows_back[1]):
+                write_int(part, row * width + lane, read_int(packet, row * pk.WIDTH + begin + lane))
+        _call_packet(function, part + np.uintp(4 * pk.VALID * width), scene, part, arguments)
+        for row in range(pk.T_FAR, last_row + 1):
             for lane in range(width):
-                f[row * w + begin + lane] = f[pk.SCRATCH + row * width + lane]
+                write_int(packet, row * pk.WIDTH + begin + lane, read_int(part, row * width + lane))
 
 
+# The functions below take addresses only: arrays in their arguments would cost atomic reference counts per call.
 @kernel
-def _trace(function, width, scene, packet, rows_back):
+def _trace(function, width, scene, packet, arguments, last_row):
+    if scene == 0:
+        return
     if width == pk.WIDTH:
-        base = np.uintp(packet.f.ctypes.data)
-        _call_packet(function, base + np.uintp(4 * pk.VALID * pk.WIDTH), scene, base)
+        _call_packet(function, packet + np.uintp(4 * pk.VALID * pk.WIDTH), scene, packet, arguments)
     else:
-        _call_parts(function, width, scene, packet, rows_back)
+        _trace_parts(function, width, scene, packet, arguments, last_row)
 
 
 @kernel
-def _occluded_packet(tables, which, packet, count):
+def _occluded_at(function, width, opaque, cutout, packet, arguments, count):
     for lane in range(pk.WIDTH):
-        packet.i[pk.VALID * pk.WIDTH + lane] = -1 if lane < count else 0
-    if which & OPAQUE and tables.opaque:
-        _trace(tables.occluded, tables.width, tables.opaque, packet, (pk.T_FAR, pk.T_FAR + 1))
-    if which & CUTOUT and tables.cutout:
-        # Lanes occluded by now have tfar = -inf, which switches them off.
-        _trace(tables.occluded, tables.width, tables.cutout, packet, (pk.T_FAR, pk.T_FAR + 1))
+        write_int(packet, pk.VALID * pk.WIDTH + lane, -1 if lane < count else 0)
+    _trace(function, width, opaque, packet, arguments, pk.T_FAR)
+    # Lanes occluded by now have tfar = -inf, which switches them off.
+    _trace(function, width, cutout, packet, arguments, pk.T_FAR)
 
 
 @kernel
-def _intersect_packet(tables, which, packet, count):
-    i, w = packet.i, pk.WIDTH
-    for lane in range(w):
-        i[pk.VALID * w + lane] = -1 if lane < count else 0
-        i[pk.GEOMETRY * w + lane] = -1
-    if which & OPAQUE and tables.opaque:
-        _trace(tables.intersect, tables.width, tables.opaque, packet, (pk.T_FAR, pk.INSTANCE))
-    if which & CUTOUT and tables.cutout:
-        # tfar is the opaque hit by now: only nearer ones replace it.
-        _trace(tables.intersect, tables.width, tables.cutout, packet, (pk.T_FAR, pk.INSTANCE))
+def _intersect_at(function, width, opaque, cutout, packet, arguments, count, first, triangle):
+    for lane in range(pk.WIDTH):
+        write_int(packet, pk.VALID * pk.WIDTH + lane, -1 if lane < count else 0)
+        write_int(packet, pk.GEOMETRY * pk.WIDTH + lane, -1)
+    _trace(function, width, opaque, packet, arguments, pk.GEOMETRY)
+    # tfar is the opaque hit by now: only nearer ones replace it.
+    _trace(function, width, cutout, packet, arguments, pk.GEOMETRY)
     for lane in range(count):
-        geometry = i[pk.GEOMETRY * w + lane]
-        i[pk.PRIMITIVE * w + lane] = -1 if geometry < 0 else tables.triangle[tables.first[geometry] + i[pk.PRIMITIVE * w + lane]]
+        geometry = read_int(packet, pk.GEOMETRY * pk.WIDTH + lane)
+        found = np.int32(-1)
+        if geometry >= 0:
+            found = read_int(triangle, read_int(first, geometry) + read_int(packet, pk.PRIMITIVE * pk.WIDTH + lane))
+        write_int(packet, pk.PRIMITIVE * pk.WIDTH + lane, found)
+
+
+@inlined
+def _scenes(tables, which):
+    """Addresses of the sets asked for; 0 is none."""
+    return tables.opaque if which & OPAQUE else np.uintp(0), tables.cutout if which & CUTOUT else np.uintp(0)
+
+
+@inlined
+def _occluded_packet(tables, which, packet, count):
+    opaque, cutout = _scenes(tables, which)
+    arguments = tables.coherent if which & COHERENT else np.uintp(0)
+    _occluded_at(tables.occluded, tables.width, opaque, cutout, packet.address, arguments, count)
+
+
+@inlined
+def _intersect_packet(tables, which, packet, count):
+    opaque, cutout = _scenes(tables, which)
+    arguments = tables.coherent if which & COHERENT else np.uintp(0)
+    _intersect_at(tables.intersect, tables.width, opaque, cutout, packet.address, arguments, count, tables.first, tables.triangle)
 
 
 @kernel
-def _set_single(packet, ox, oy, oz, dx, dy, dz, tnear, tfar, mask):
-    """Write an RTCRayHit (one ray) into the scratch half of the packet."""
-    f, i, at = packet.f, packet.i, pk.SCRATCH
-    f[at], f[at + 1], f[at + 2], f[at + 3] = ox, oy, oz, tnear
-    f[at + 4], f[at + 5], f[at + 6], f[at + 7] = dx, dy, dz, np.float32(0.0)
-    f[at + 8] = tfar
-    i[at + 9], i[at + 10], i[at + 11] = mask, 0, 0
-    i[at + pk.GEOMETRY] = -1
-    i[at + pk.INSTANCE] = -1
-    i[at + pk.INSTANCE_PRIMITIVE] = -1
-    return np.uintp(f.ctypes.data) + np.uintp(4 * at)
+def _single(function, opaque, cutout, ray, ox, oy, oz, dx, dy, dz, tnear, tfar, mask):
+    """Write an RTCRayHit of one ray at address `ray` and trace it."""
+    write_float(ray, 0, ox)
+    write_float(ray, 1, oy)
+    write_float(ray, 2, oz)
+    write_float(ray, 3, tnear)
+    write_float(ray, 4, dx)
+    write_float(ray, 5, dy)
+    write_float(ray, 6, dz)
+    write_float(ray, pk.TIME, 0.0)
+    write_float(ray, pk.T_FAR, tfar)
+    write_int(ray, pk.MASK, mask)
+    write_int(ray, pk.RAY_ID, 0)
+    write_int(ray, pk.RAY_FLAGS, 0)
+    write_int(ray, pk.GEOMETRY, -1)
+    write_int(ray, pk.INSTANCE, -1)
+    write_int(ray, pk.INSTANCE_PRIMITIVE, -1)
+    if opaque != 0:
+        _call_single(function, opaque, ray)
+    if cutout != 0:
+        _call_single(function, cutout, ray)
 
 
-@kernel
+@inlined
 def _occluded1(tables, which, packet, ox, oy, oz, dx, dy, dz, tnear, tfar, mask):
-    ray = _set_single(packet, ox, oy, oz, dx, dy, dz, tnear, tfar, mask)
-    if which & OPAQUE and tables.opaque:
-        _call_single(tables.occluded_single, tables.opaque, ray)
-    if which & CUTOUT and tables.cutout:
-        _call_single(tables.occluded_single, tables.cutout, ray)
-    return packet.f[pk.SCRATCH + pk.T_FAR] == pk.OCCLUDED
+    opaque, cutout = _scenes(tables, which)
+    ray = packet.address + np.uintp(4 * pk.SCRATCH)
+    _single(tables.occluded_single, opaque, cutout, ray, ox, oy, oz, dx, dy, dz, tnear, tfar, mask)
+    return read_float(ray, pk.T_FAR) == pk.OCCLUDED
 
 
 @kernel
+def _single_triangle(ray, first, triangle):
+    geometry = read_int(ray, pk.GEOMETRY)
+    return np.int32(-1) if geometry < 0 else read_int(triangle, read_int(first, geometry) + read_int(ray, pk.PRIMITIVE))
+
+
+@inlined
 def _intersect1(tables, which, packet, ox, oy, oz, dx, dy, dz, tnear, tfar, mask):
-    ray = _set_single(packet, ox, oy, oz, dx, dy, dz, tnear, tfar, mask)
-    if which & OPAQUE and tables.opaque:
-        _call_single(tables.intersect_single, tables.opaque, ray)
-    if which & CUTOUT and tables.cutout:
-        _call_single(tables.intersect_single, tables.cutout, ray)
-    f, i, at = packet.f, packet.i, pk.SCRATCH
-    geometry = i[at + pk.GEOMETRY]
-    triangle = np.int32(-1) if geometry < 0 else tables.triangle[tables.first[geometry] + i[at + pk.PRIMITIVE]]
-    return triangle, f[at + pk.T_FAR], f[at + pk.HIT_U], f[at + pk.HIT_V]
+    opaque, cutout = _scenes(tables, which)
+    ray = packet.address + np.uintp(4 * pk.SCRATCH)
+    _single(tables.intersect_single, opaque, cutout, ray, ox, oy, oz, dx, dy, dz, tnear, tfar, mask)
+    triangle = _single_triangle(ray, tables.first, tables.triangle)
+    return triangle, read_float(ray, pk.T_FAR), read_float(ray, pk.HIT_U), read_float(ray, pk.HIT_V)
 
 
 register_backend(EmbreeTables, _occluded_packet, _intersect_packet, _occluded1, _intersect1)

@@ -30,11 +30,12 @@ OCCLUDED = np.float32(-np.inf)
 class Packet(NamedTuple):
     """One scratch block, 64-byte aligned, seen as floats and as integers.
 
-    f: (WORDS,) float32;  i: (WORDS,) int32, the same memory.
+    f: (WORDS,) float32;  i: (WORDS,) int32, the same memory;  address: where it begins.
     """
 
     f: np.ndarray
     i: np.ndarray
+    address: int
 
 
 @kernel
@@ -43,7 +44,7 @@ def new_packet():
     block = np.zeros(WORDS + 16, np.float32)
     skip = ((64 - block.ctypes.data % 64) % 64) // 4
     f = block[skip : skip + WORDS]
-    packet = Packet(f, f.view(np.int32))
+    packet = Packet(f, f.view(np.int32), np.uintp(f.ctypes.data))
     for lane in range(WIDTH):
         packet.f[T_FAR * WIDTH + lane] = np.float32(-1.0)
     for lane in range(WIDTH):

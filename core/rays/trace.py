@@ -1,6 +1,7 @@
 """Tracing inside kernels: one name for every backend, chosen by the type of the tables at compile time.
 
-`tables` is `RayScene.tables`, `which` one of OPAQUE, CUTOUT, ALL.  Call these from jitted functions only.
+`tables` is `RayScene.tables`, `which` one of OPAQUE, CUTOUT, ALL
+(| COHERENT for packets).  Call these from jitted functions only.
 """
 
 from __future__ import annotations
@@ -8,7 +9,9 @@ from __future__ import annotations
 from numba import types
 from numba.extending import overload
 
-OPAQUE, CUTOUT, ALL = 1, 2, 3
+# Sets of triangles. COHERENT is or-ed to a set for packets whose rays stay together (camera rays of a tile, a
+# light's shadow rays to neighbouring points): 1.3 times faster there, and up to twice slower elsewhere.
+OPAQUE, CUTOUT, ALL, COHERENT = 1, 2, 3, 4
 
 
 def occluded_packet(tables, which, packet, count):
@@ -35,7 +38,7 @@ def register_backend(tables_class, occluded_packet_of, intersect_packet_of, occl
     """Let the functions above call these jitted ones wherever `tables` is a `tables_class`."""
     packet_pairs = ((occluded_packet, occluded_packet_of), (intersect_packet, intersect_packet_of))
     single_pairs = ((occluded1, occluded1_of), (intersect1, intersect1_of))
-    options = {"error_model": "numpy"}
+    options = {"error_model": "numpy", "forceinline": True}
 
     def matches(tables):
         return isinstance(tables, types.BaseNamedTuple) and tables.instance_class is tables_class
