@@ -1,46 +1,95 @@
 """How this package compiles: one place for Numba's options, its cache and its compile time.
 
-Kernels are serial and release the GIL; `core.threads` runs them over chunks.  `cache=True` raises at
-decoration where no cache folder is writable, so the folder is chosen here, before any kernel is
-defined, and caching is switched off when there is none.
+Kernels are serial and release the GIL; `core.threads` runs them over chunks.  Compiled code is kept in a
+user folder (`NUMBA_CACHE_DIR` where that is set), or not at all where none is writable.
 """
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import os
+import re
 import tempfile
 from pathlib import Path
 
+import numba
 import platformdirs
+from numba.core import caching, event
 
 # Keeps NaN and infinity (no 'nnan', 'ninf'); without 'reassoc' sums do not vectorise.
 FAST_MATH = {"reassoc", "contract", "nsz"}
 
+_ROOM = Path(__file__).resolve().parent
+_RELATIVE_IMPORT = re.compile(r"^from (\.+)([\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 
-def _writable(folder: Path) -> bool:
+
+def _cache_folder() -> Path | None:
+    asked = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(asked) if asked else Path(platformdirs.user_cache_dir("lumigate")) / "numba"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            return True
+            return folder
     except OSError:
-        return False
+        return None
 
 
-def _cache_folder() -> str | None:
-    asked = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(asked) if asked else Path(platformdirs.user_cache_dir("lumigate")) / "numba"
-    return str(folder) if _writable(folder) else None
+@functools.cache
+def _source(path: Path) -> bytes:
+    return path.read_bytes()
+
+
+@functools.cache
+def _imports(path: Path) -> frozenset[Path]:
+    """Files of this package that a module imports directly."""
+    found = set()
+    for dots, module, names in _RELATIVE_IMPORT.findall(_source(path).decode()):
+        base = path.parents[len(dots) - 1].joinpath(*module.split(".")) if module else path.parents[len(dots) - 1]
+        candidates = [base.with_suffix(".py"), base / "__init__.py"]
+        candidates += [(base / name).with_suffix(".py") for name in re.findall(r"\w+", names)]
+        found.update(c for c in candidates if c.is_file())
+    return frozenset(found)
+
+
+@functools.cache
+def _stamp(path: Path) -> str:
+    """Hash of a module and of everything in this package that it imports, however indirectly."""
+    seen, waiting = {path}, [path]
+    while waiting:
+        new = _imports(waiting.pop()) - seen
+        seen |= new
+        waiting.extend(new)
+    digest = hashlib.sha256()
+    for file in sorted(seen):
+        digest.update(_source(file))
+    return digest.hexdigest()
+
+
+class _CacheLocator(caching.UserProvidedCacheLocator):
+    """Compiled code is stale when ANY module that it was compiled from has changed.
+
+    Numba's own locators look at the kernel's file alone, while device functions from other files are compiled
+    into it: after an update an old kernel would run with the old functions in it.
+    """
+
+    def __init__(self, py_func, py_file):
+        super().__init__(py_func, py_file)
+        self._cache_path = str(_CACHE / self.get_suitable_cache_subpath(py_file))
+
+    def get_source_stamp(self):
+        return _stamp(Path(self._py_file).resolve())
+
+    @classmethod
+    def from_function(cls, py_func, py_file):
+        if _CACHE is None or _ROOM not in Path(py_file).resolve().parents:
+            return None
+        return super(caching.UserProvidedCacheLocator, cls).from_function(py_func, py_file)
 
 
 _CACHE = _cache_folder()
-if _CACHE is not None:
-    os.environ["NUMBA_CACHE_DIR"] = _CACHE
-
-import numba  # noqa: E402  (reads NUMBA_CACHE_DIR when it is imported)
-from numba.core import event  # noqa: E402
-
-if _CACHE is not None and numba.config.CACHE_DIR != _CACHE:
-    numba.config.CACHE_DIR = _CACHE  # Numba was imported before this module
+if _CacheLocator.__qualname__ not in {c.__qualname__ for c in caching.CacheImpl._locator_classes}:
+    caching.CacheImpl._locator_classes.insert(0, _CacheLocator)
 
 
 def kernel(function=None, *, fast: bool = True, **options):
@@ -51,7 +100,12 @@ def kernel(function=None, *, fast: bool = True, **options):
         "cache": _CACHE is not None,
         "fastmath": FAST_MATH if fast else False,
     } | options
-    decorate = numba.njit(**options)
+
+    def decorate(function):
+        # Only this package's own kernels have a locator (a test's may lie anywhere).
+        inside = _ROOM in Path(function.__code__.co_filename).resolve().parents
+        return numba.njit(**(options | {"cache": options["cache"] and inside}))(function)
+
     return decorate if function is None else decorate(function)
 
 

@@ -23,6 +23,8 @@ _2PI = np.float32(2 * math.pi)
 _TINY = np.float32(1e-12)
 _INFINITY = np.float32(np.inf)
 
+_COPLANAR = np.float32(5e-7)  # a few roundings of a point's coordinates
+
 
 @inlined
 def one_minus_cos(sin2):
@@ -125,7 +127,10 @@ def sample_area(lamps, i, px, py, pz, u1, u2):
     y0, y1 = max(-half_y, y - reach), min(half_y, y + reach)
     if not (x0 < x1 and y0 < y1):
         return _0, _0, _1, _0, _0
-    far = x * x + y * y + height * height > np.float32(4.0) * (half_x * half_x + half_y * half_y)
+    # Below this distance the density of area samples varies more than rejection costs.
+    longer = max(half_x, half_y)
+    beside = max(_0, np.float32(math.sqrt(x * x + y * y)) - longer)
+    far = beside * beside + height * height > _HALF * longer * longer
     if lamps.ellipse[i] and far and reach > _2 * (half_x + half_y + abs(x) + abs(y)):
         a, b = concentric_disk(u1, u2)
         sx, sy = a * half_x - x, b * half_y - y
@@ -157,6 +162,10 @@ def sample_mesh_triangle(mesh, i, px, py, pz, u1, u2):
     third = np.float32(1 / 3)
     mx, my, mz = ax + third * (ex + fx), ay + third * (ey + fy), az + third * (ez + fz)
     longest = max(ex * ex + ey * ey + ez * ez, fx * fx + fy * fy + fz * fz, (fx - ex) ** 2 + (fy - ey) ** 2 + (fz - ez) ** 2)
+    # A point in the triangle's plane, to rounding, is not lit by it: seen from its own surface it would fill half of all directions.
+    rounding = _COPLANAR * (abs(px) + abs(py) + abs(pz) + np.float32(math.sqrt(longest)))
+    if abs(ax * nx + ay * ny + az * nz) <= rounding:
+        return nx, ny, nz, _1, _0, third, third
     if longest > np.float32(0.1) * (mx * mx + my * my + mz * mz):
         dx, dy, dz, angle = sample_triangle(ax, ay, az, ax + ex, ay + ey, az + ez, ax + fx, ay + fy, az + fz, u1, u2)
         if angle > 0.0:
