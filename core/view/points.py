@@ -15,7 +15,7 @@ class ShadingPoints(NamedTuple):
     pixel: (N,) int32, row-major over the border.  triangle: (N,) int32.
     albedo: (N, 3) float32, diffuse albedo times the share of the pixel: the pixel's diffuse radiance is the
         sum of albedo * irradiance / pi over its points.
-    view: (N, 3) float32, unit, from the viewer.
+    wo: (N, 3) float32, unit, towards the viewer.
     f0, f90: (N, 3), roughness: (N,) float32, Schlick's glossy lobe (f0 and f90 times the share of the pixel).
     """
 
@@ -26,7 +26,7 @@ class ShadingPoints(NamedTuple):
     pixel: np.ndarray
     triangle: np.ndarray
     albedo: np.ndarray
-    view: np.ndarray
+    wo: np.ndarray
     f0: np.ndarray
     f90: np.ndarray
     roughness: np.ndarray

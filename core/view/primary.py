@@ -272,7 +272,7 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, si
                     points.position[i, c] = sample[best, c]
                     points.ng[i, c] = sample[best, 4 + c]
                     points.ns[i, c] = sample[best, 7 + c]
-                    points.view[i, c] = direction[lane, best, c]
+                    points.wo[i, c] = -direction[lane, best, c]
                     points.albedo[i, c] = group[k, 4 + c]
                     points.f0[i, c] = group[k, 7 + c]
                     points.f90[i, c] = group[k, 10 + c]
