@@ -38,7 +38,7 @@ def _program(use: MaterialUse, textures: TexturePool, warnings: list[str]) -> Pr
         color = _DEFAULT_GREY if material is None else Constant(*material.diffuse_color)
         program.emit(ops.DIFFUSE_CLOSURE, color, ZERO, ZERO, ONE)
         return program
-    context = Context(material, program, textures, warnings)
+    context = Context(material, program, textures, warnings, use.objects)
     output = material.node_tree.get_output_node("CYCLES") or material.node_tree.get_output_node("ALL")
     if output is None:
         return program

@@ -25,6 +25,7 @@ class Context:
     program: Program
     textures: TexturePool
     warnings: list[str]
+    objects: tuple[bpy.types.Object, ...] = ()
     memory: dict = field(default_factory=dict)
 
     def warn(self, text: str) -> None:

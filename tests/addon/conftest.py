@@ -25,13 +25,13 @@ _PASSES = {
     "Emit": ("Emit", "Emission"),
     "GlossCol": ("GlossCol", "Glossy Color"),
     "Normal": ("Normal", "Normal"),
-    "Combined": ("Combined", "Combined"),
+    "Position": ("Position", "Position"),
 }
 
 
 @dataclass
 class Compared:
-    """One plane: Cycles' passes and the evaluator's surfaces at the same pixel centres, both (PIXELS**2, ...)."""
+    """One plane: Cycles' passes and the evaluator's surfaces at the same points, both (PIXELS**2, ...)."""
 
     passes: dict[str, np.ndarray]
     surfaces: np.ndarray
@@ -64,6 +64,7 @@ class Grid:
     def add(self, name: str, build: Callable[[bpy.types.NodeTree, bpy.types.Node], None], angle: float = 0.0) -> None:
         """A plane turned by `angle` from the camera, whose tree `build(tree, output)` fills."""
         material = bpy.data.materials.new(name)
+        assert material.name == name, "Blender cuts names after 63 bytes"
         if material.node_tree is None:
             material.use_nodes = True
         tree = material.node_tree
@@ -76,7 +77,9 @@ class Grid:
 
         def build(tree, end):
             node = new_node(tree, node_type, **settings)
-            tree.links.new(node.outputs[output], tree.nodes.new("ShaderNodeEmission").inputs["Color"])
+            outputs = node.outputs
+            chosen = outputs[output] if isinstance(output, int) else next(s for s in outputs if output in (s.identifier, s.name))
+            tree.links.new(chosen, tree.nodes.new("ShaderNodeEmission").inputs["Color"])
             tree.links.new(tree.nodes["Emission"].outputs[0], end.inputs["Surface"])
 
         self.add(name, build)
@@ -97,7 +100,9 @@ class Grid:
             x, y = i % columns * PIXELS, i // columns * PIXELS
             mine = {p: a[y : y + PIXELS, x : x + PIXELS].reshape(PIXELS * PIXELS, -1) for p, a in passes.items()}
             cosine = math.cos(angle)
-            result[name] = Compared(mine, _evaluate(found, i, columns, cosine), cosine)
+            # Cycles' sample lies near the pixel's centre, the Position pass says where.
+            place = (mine["Position"] - np.array(bpy.data.objects[name].location))[:, :2] / (1, cosine)
+            result[name] = Compared(mine, _evaluate(found, i, columns, cosine, place), cosine)
         return result
 
 
@@ -138,7 +143,7 @@ def _attribute(request, index, columns):
     """(4 corners, 4) values of a request on an upright plane."""
     place = np.array([index % columns, index // columns])
     values = np.ones((4, 4))
-    if request.kind == rq.UV:
+    if request.kind == rq.UV or request.name in ("UVMap", "Second"):
         uv = UV_LOW + UV_SPAN * CORNERS
         values[:, :2] = uv[:, ::-1] if request.name == "Second" else uv
         values[:, 2] = 0
@@ -169,12 +174,11 @@ def _attribute(request, index, columns):
     return values
 
 
-def _evaluate(found, index, columns, cosine):
+def _evaluate(found, index, columns, cosine, place):
     attributes = np.zeros((max(1, found.slots), 2, 3, 4), np.float32)
     for k, request in enumerate(found.requests[index]):
         attributes[k] = _attribute(request, index, columns)[TRIANGLES]
-    row, column = np.divmod(np.arange(PIXELS * PIXELS), PIXELS)
-    x, y = (column + 0.5) / PIXELS, 0.5 + ((row + 0.5) / PIXELS - 0.5) / cosine
+    x, y = place.T
     # (0,0) (1,0) (1,1) below the diagonal, (0,0) (1,1) (0,1) above it
     below = x >= y
     u, v = np.where(below, x - y, x), np.where(below, y, y - x)
@@ -197,7 +201,8 @@ def _render(columns):
     scene.render.resolution_percentage = 100
     scene.render.threads_mode, scene.render.threads = "FIXED", 2
     layer = scene.view_layers[0]
-    layer.use_pass_diffuse_color = layer.use_pass_emit = layer.use_pass_glossy_color = layer.use_pass_normal = True
+    layer.use_pass_diffuse_color = layer.use_pass_emit = True
+    layer.use_pass_glossy_color = layer.use_pass_normal = layer.use_pass_position = True
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     camera.data.type, camera.data.ortho_scale = "ORTHO", columns
     camera.location = columns / 2, columns / 2, 5

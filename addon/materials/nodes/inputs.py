@@ -68,7 +68,9 @@ def attribute(node: NodeInput, output: str) -> Value:
     else:
         read = node.program.attribute(OBJECT_ATTRIBUTE, name)
     if output == "Fac":
-        return node.emit(ops.AVERAGE, read)
+        # Cycles reads the first component of a UV map, the mean of anything else.
+        is_uv = any(name in getattr(o.data, "uv_layers", ()) for o in node.context.objects)
+        return node.splat(read, 0) if is_uv else node.emit(ops.AVERAGE, read)
     return node.splat(read, 3) if output == "Alpha" else read
 
 
