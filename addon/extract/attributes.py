@@ -78,6 +78,8 @@ def _values(request: AttributeRequest, batch: Batch, compiled: CompiledMaterials
         return batch.normals
     if request.kind == requests.FACE_NORMAL:
         return unit(np.matmul(batch.mesh.face_normals[None], batch.normal_matrix))[:, :, None, :]
+    if request.kind == requests.TANGENT:
+        return _tangents(batch, request.name)
     if request.kind == requests.BAKED:
         return _baked(batch, compiled.baked_uvs[request.name])
     raise ValueError(f"unknown attribute request '{request.kind}'")
@@ -98,6 +100,18 @@ def _object_position(batch: Batch, name: str) -> np.ndarray | None:
         return None
     to_object = np.linalg.inv(to_world)
     return (batch.world @ to_object[:3, :3].T + to_object[:3, 3])[:, batch.mesh.corners]
+
+
+def _tangents(batch: Batch, uv: str) -> np.ndarray | None:
+    """World-space tangents, (n, T, 3, 4); mirroring turns the bitangent."""
+    local = batch.mesh.tangents(uv)
+    if local is None:
+        return None
+    world = np.empty((len(batch.parts), *local.shape), np.float32)
+    # Cycles maps the perturbed normal, not the tangent, to the world: hence the matrix of normals.
+    world[..., :3] = unit(np.matmul(local[None, ..., :3].reshape(1, -1, 3), batch.normal_matrix)).reshape(world[..., :3].shape)
+    world[..., 3] = local[..., 3] * np.where(np.linalg.det(batch.normal_matrix) < 0, -1, 1)[:, None, None]
+    return world
 
 
 def _baked(batch: Batch, by_object: dict[str, np.ndarray]) -> np.ndarray:

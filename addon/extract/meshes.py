@@ -9,6 +9,8 @@ from functools import cached_property
 import bpy
 import numpy as np
 
+from .tangents import tangents
+
 # Attribute types that a shader can read: name of the value in RNA, its number of components.
 _READABLE = {
     "FLOAT": ("value", 1),
@@ -57,6 +59,14 @@ class MeshCopy:
         size = np.where(self.texture_size != 0, 0.5 / np.where(self.texture_size != 0, self.texture_size, 1), 0)
         return ((self.undeformed - self.texture_location) * size + 0.5).astype(np.float32)[self.corners]
 
+    def tangents(self, uv: str) -> np.ndarray | None:
+        """(T, 3, 4) float32 local tangents of a UV map ('' is the one active for render), the bitangent's sign in w."""
+        layer = self.layers.get(uv or self.uv)
+        if layer is None:
+            return None
+        shape = (len(self.corners), 3, 3)
+        return tangents(self.vertices[self.corners], np.broadcast_to(self.normals, shape), layer[..., :2])
+
 
 def face_normals(vertices: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """(v1 - v0) x (v2 - v0) of every triangle: (T, 3), as long as twice the area."""
@@ -86,10 +96,8 @@ def copy_mesh(mesh: bpy.types.Mesh, wanted: Collection[str], deformed: bool) -> 
     """
     if len(mesh.polygons) == 0:
         return None
-    count = len(mesh.loop_triangles)
-    corners = read(mesh.loop_triangles, "vertices", (count, 3), np.int32)
-    loops = read(mesh.loop_triangles, "loops", (count, 3), np.int32)
-    polygon = read(mesh.loop_triangles, "polygon_index", (count,), np.int32)
+    loops, polygon = _triangulation(mesh)
+    corners = read(mesh.attributes[".corner_vert"].data, "value", (len(mesh.loops),), np.int32)[loops]
     vertices = read(mesh.attributes["position"].data, "vector", (len(mesh.vertices), 3), np.float32)
     undeformed = read(mesh.vertices, "undeformed_co", vertices.shape, np.float32) if deformed else vertices
     slots = mesh.attributes.get("material_index")
@@ -97,7 +105,7 @@ def copy_mesh(mesh: bpy.types.Mesh, wanted: Collection[str], deformed: bool) -> 
         name=mesh.name,
         vertices=vertices,
         corners=corners,
-        slot=read(slots.data, "value", (len(mesh.polygons),), np.int32)[polygon] if slots else np.zeros(count, np.int32),
+        slot=read(slots.data, "value", (len(mesh.polygons),), np.int32)[polygon] if slots else np.zeros(len(corners), np.int32),
         normals=_normals(mesh, vertices, corners, loops),
         undeformed=undeformed,
         texture_location=np.array(mesh.texspace_location),
@@ -114,6 +122,15 @@ def copy_mesh(mesh: bpy.types.Mesh, wanted: Collection[str], deformed: bool) -> 
             copy.layers[name] = _layer(attribute, index[attribute.domain])
     _drop_loose(copy)
     return copy
+
+
+def _triangulation(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """(T, 3) int32 loops and (T,) int32 polygon of every triangle."""
+    count = len(mesh.loop_triangles)
+    if count == len(mesh.polygons):  # all faces are triangles: loops are in their order, and reading them is slow
+        return np.arange(3 * count, dtype=np.int32).reshape(count, 3), np.arange(count, dtype=np.int32)
+    loops = read(mesh.loop_triangles, "loops", (count, 3), np.int32)
+    return loops, read(mesh.loop_triangle_polygons, "value", (count,), np.int32)
 
 
 def _normals(mesh: bpy.types.Mesh, vertices: np.ndarray, corners: np.ndarray, loops: np.ndarray) -> np.ndarray:

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import math
+import os
+import tempfile
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import bpy
 import numpy as np
+import platformdirs
 
-from ...core.scene import ALL_RAYS, World
+from ...core.errors import SceneError
+from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, SUN, TRANSMISSION, World
+from .fingerprint import fingerprint
 from .lamps import Lamp
-from .nodes import constant_emission, node_tree, surface_node
+from .nodes import constant, constant_emission, node_tree, source, surface_node
+from .panorama import Sun, pack_suns, render_panorama, render_panorama_apart, unpack_suns
+
+_MAX_WIDTH = 4096
+# Width of a panorama of nodes that name no image, and camera samples that a rendered panorama may cost.
+_WIDTH, _SAMPLES = 1024, 2**21
+_CACHE_BYTES = 2**30
 
 
 @dataclass
@@ -22,11 +36,159 @@ class ExtractedWorld:
 
 
 def extract_world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, graph: bpy.types.Depsgraph, rendering: bool) -> ExtractedWorld:
-    """The world of a scene as evaluated in `graph`."""
+    """The world of a scene as evaluated in `graph`.
+
+    A plain background is one value; an environment image is taken as it is; any other tree is rendered
+    by Cycles once and kept in the user's cache folder.
+    rendering: the call comes from within a render.
+
+    Raises:
+        SceneError: Cycles could not render the world.
+    """
     world = view_layer.world_override or scene.world
     if world is None:
-        return ExtractedWorld(World(np.zeros((1, 1, 3), np.float32), ALL_RAYS))
+        return ExtractedWorld(World(np.zeros((1, 1, 3), np.float32)))
     world = world.evaluated_get(graph)
+    found = ExtractedWorld(World(np.zeros((1, 1, 3), np.float32), _visibility(world)))
     tree = node_tree(world)
-    radiance = np.array(world.color) if tree is None else constant_emission(surface_node(tree))
-    return ExtractedWorld(World(np.asarray(np.zeros(3) if radiance is None else radiance, np.float32).reshape(1, 1, 3), ALL_RAYS))
+    if tree is None:
+        found.world.radiance[:] = world.color
+        return found
+    output = tree.get_output_node("CYCLES")
+    if output is not None and output.inputs["Volume"].is_linked:
+        found.warnings.append(f"the volume of world '{world.name}' is left out")
+    surface = surface_node(tree)
+    value = constant_emission(surface)
+    if value is not None:
+        found.world.radiance[:] = np.maximum(value, 0)
+        return found
+    radiance = _environment_image(surface)
+    if radiance is None:
+        if any(node.type == "LIGHT_PATH" for node in tree.nodes):
+            found.warnings.append(f"world '{world.name}' depends on the light path: all rays see what diffuse rays see")
+        radiance, suns = _rendered(scene, world, tree, rendering)
+        found.suns = [_sun_lamp(world, sun, found.world.visibility) for sun in suns]
+    found.world.radiance = np.maximum(radiance, 0, dtype=np.float32)
+    if np.ptp(radiance.reshape(-1, 3), axis=0).max() <= 1e-6 * radiance.max():
+        found.world.radiance = radiance[:1, :1].copy()
+    return found
+
+
+def _visibility(world: bpy.types.World) -> int:
+    rays = world.cycles_visibility
+    return CAMERA * rays.camera | DIFFUSE * rays.diffuse | GLOSSY * rays.glossy | TRANSMISSION * rays.transmission | SHADOW
+
+
+def _environment_image(background: bpy.types.Node) -> np.ndarray | None:
+    """The panorama of an equirectangular float image that at most turns about the vertical axis, None for anything else."""
+    if background.type != "BACKGROUND" or background.mute:
+        return None
+    strength, link = constant(background.inputs["Strength"]), source(background.inputs["Color"])
+    if strength is None or link is None or link.from_node.type != "TEX_ENVIRONMENT" or link.from_node.mute:
+        return None
+    node = link.from_node
+    image = node.image
+    if image is None or node.projection != "EQUIRECTANGULAR" or image.source != "FILE" or not image.is_float:
+        return None
+    turn = _turn(node)
+    width, height = image.size
+    if turn is None or width * height == 0 or image.channels < 3:
+        return None
+    pixels = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = pixels.reshape(height, width, image.channels)[::-1, :, :3]
+    return _shrink(_shift(pixels, turn / (2 * math.pi) * width), _MAX_WIDTH) * np.float32(strength.mean())
+
+
+def _turn(node: bpy.types.Node) -> float | None:
+    """Angle about z by which the lookup of an environment texture is turned, None where it is more than that."""
+    link = source(node.inputs["Vector"])
+    if link is None:
+        return 0.0
+    mapping = link.from_node
+    if mapping.type == "TEX_COORD":
+        return 0.0 if link.from_socket.name == "Generated" else None
+    if mapping.type != "MAPPING" or mapping.mute or mapping.vector_type not in ("POINT", "TEXTURE", "VECTOR", "NORMAL"):
+        return None
+    origin = source(mapping.inputs["Vector"])
+    if origin is None or origin.from_node.type != "TEX_COORD" or origin.from_socket.name != "Generated":
+        return None
+    location = constant(mapping.inputs["Location"]) if mapping.inputs["Location"].enabled else np.zeros(3)
+    rotation, scale = constant(mapping.inputs["Rotation"]), constant(mapping.inputs["Scale"])
+    if location is None or rotation is None or scale is None or location.any() or rotation[:2].any() or (scale != 1).any():
+        return None
+    return float(-rotation[2] if mapping.vector_type == "TEXTURE" else rotation[2])
+
+
+def _shift(pixels: np.ndarray, columns: float) -> np.ndarray:
+    """Move a panorama to the right by a number of columns, interpolating between two."""
+    whole = math.floor(columns)
+    part = np.float32(columns - whole)
+    moved = np.roll(pixels, whole, axis=1)
+    return moved if part < 1e-4 else (1 - part) * moved + part * np.roll(moved, 1, axis=1)
+
+
+def _shrink(pixels: np.ndarray, width: int) -> np.ndarray:
+    """Average blocks of pixels until the panorama is at most `width` wide."""
+    factor = -(-pixels.shape[1] // width)
+    if factor == 1:
+        return pixels
+    for axis in (0, 1):
+        starts = np.arange(0, pixels.shape[axis], factor)
+        counts = np.diff([*starts, pixels.shape[axis]]).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+        pixels = np.add.reduceat(pixels, starts, axis=axis) / counts.astype(np.float32)
+    return pixels
+
+
+def _rendered(scene: bpy.types.Scene, world: bpy.types.World, tree: bpy.types.NodeTree, rendering: bool) -> tuple[np.ndarray, list[Sun]]:
+    """The panorama and suns of any world, from the cache or by Cycles."""
+    widths = [node.image.size[0] for node in tree.nodes if node.type == "TEX_ENVIRONMENT" and node.image is not None]
+    width = min(max([_WIDTH, *widths]), _MAX_WIDTH)
+    height = width // 2
+    samples = max(1, min(_SAMPLES // (width * height), 16))
+    frame = scene.frame_current
+    stored = _cache_folder() / f"{fingerprint(tree, width, samples)}.npz"
+    with suppress(OSError, ValueError, KeyError), np.load(stored) as kept:  # a damaged file is rendered again
+        return kept["radiance"], unpack_suns(kept["suns"])
+    render = render_panorama_apart if rendering else render_panorama
+    try:
+        radiance, suns = render(world.original, frame, width, height, samples)
+    except (RuntimeError, OSError) as error:
+        raise SceneError(f"Cycles cannot render world '{world.name}': {error}") from error
+    with suppress(OSError):  # without a writable folder it is rendered each time
+        _store(stored, radiance, suns)
+    return radiance, suns
+
+
+def _cache_folder() -> Path:
+    return Path(platformdirs.user_cache_dir("lumigate")) / "worlds"
+
+
+def _store(path: Path, radiance: np.ndarray, suns: list[Sun]) -> None:
+    """Keep a panorama, and forget the oldest ones beyond a gigabyte."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+        np.savez(file, radiance=radiance, suns=pack_suns(suns))
+    os.replace(file.name, path)
+    total = 0
+    for old in sorted(path.parent.glob("*.npz"), key=lambda p: p.stat().st_mtime, reverse=True):
+        total += old.stat().st_size
+        if total > _CACHE_BYTES and old != path:
+            old.unlink()
+
+
+def _sun_lamp(world: bpy.types.World, sun: Sun, visibility: int) -> Lamp:
+    """The lamp that shines as a sky's sun disc does."""
+    z = sun.direction
+    x = np.cross([0, 0, 1] if abs(z[2]) < 0.9 else [1, 0, 0], z)
+    x /= np.linalg.norm(x)
+    return Lamp(
+        name=f"{world.name} (sun)",
+        kind=SUN,
+        position=np.zeros(3),
+        axes=np.array([x, np.cross(z, x), z]),
+        emission=sun.irradiance,
+        visibility=visibility & ~SHADOW,
+        angle=sun.angle,
+        group=world.lightgroup,
+    )
