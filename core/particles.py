@@ -19,9 +19,9 @@ import numpy as np
 
 from .jit import kernel
 from .lamps.emission import emit
-from .rays.offsets import hit_point, offset_origin, shadow_segment
-from .rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, is_occluded, new_packet, set_ray
-from .rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
+from .rays.offsets import hit_point, offset_origin
+from .rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
+from .rays.trace import ALL, intersect_packet
 from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
@@ -31,7 +31,6 @@ from .surfaces.normals import shading_normal
 from .surfaces.program import MEAN_VIEW, evaluate, new_registers
 from .threads import Progress, run_chunks
 from .transport import Transport
-from .view.points import ShadingPoints
 
 _EMISSION_DIMENSIONS = 5  # Sobol dimensions that a particle's birth takes
 _MAX_PASSED = 64  # transparent surfaces that one flight passes at most
@@ -230,92 +229,3 @@ def trace_particles(
     vpls = Vpls.concatenate([part for part, _ in parts])
     vpls.flux[:] *= np.float32(1.0 / particles)
     return vpls, n_rays + sum(rays for _, rays in parts)
-
-
-@kernel
-def _contributions(scene, vpls, begin, end, points, weights, g_max, rays_each, seed, reach, seen):
-    """Of each VPL begin..end-1: its unshadowed light on the points, and the visible share of it by a few rays."""
-    n = len(points.pixel)
-    light = np.empty(n, np.float32)
-    packet = new_packet()
-    traced = 0
-    for i in range(begin, end):
-        x, y, z = vpls.position[i, 0], vpls.position[i, 1], vpls.position[i, 2]
-        nx, ny, nz = vpls.normal[i, 0], vpls.normal[i, 1], vpls.normal[i, 2]
-        total = np.float32(0.0)
-        for k in range(n):
-            dx, dy, dz = x - points.position[k, 0], y - points.position[k, 1], z - points.position[k, 2]
-            r2 = dx * dx + dy * dy + dz * dz
-            c = max(np.float32(0.0), points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz)
-            c *= max(np.float32(0.0), -(nx * dx + ny * dy + nz * dz))
-            f = weights[k] * min(c / max(r2 * r2, np.float32(1e-30)), g_max)
-            light[k] = f
-            total += f
-        power = (vpls.flux[i, 0] + vpls.flux[i, 1] + vpls.flux[i, 2]) * np.float32(1 / 3)
-        reach[i] = total * power
-        seen[i] = np.float32(0.0)
-        if not total > 0:
-            continue
-        # Stratified picks in proportion to the light, one shadow ray each.
-        k = 0
-        partial = light[0]
-        for j in range(rays_each):
-            target = (np.float32(j) + uniform(seed, i, j, 0)) / np.float32(rays_each) * total
-            while k + 1 < n and partial < target:
-                k += 1
-                partial += light[k]
-            ox, oy, oz, dx, dy, dz = shadow_segment(
-                points.position[k, 0], points.position[k, 1], points.position[k, 2],
-                points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], x, y, z, nx, ny, nz, vpls.error[i],
-            )  # fmt: skip
-            set_ray(packet, j, ox, oy, oz, dx, dy, dz, np.float32(0.0), np.float32(1.0), DIFFUSE)
-        occluded_packet(scene.rays, OPAQUE, packet, rays_each)
-        traced += rays_each
-        visible = 0
-        for j in range(rays_each):
-            if not is_occluded(packet, j):
-                visible += 1
-        seen[i] = np.float32(visible) / np.float32(rays_each)
-    return traced
-
-
-def resample(
-    scene: Transport, vpls: Vpls, points: ShadingPoints, count: int, g_max: float, seed: int, threads: int = 0, *,
-    subset: int = 96, rays_each: int = 8, defensive: float = 0.2,
-) -> tuple[Vpls, int]:  # fmt: skip
-    """Choose at most `count` VPLs by what they can give to the view; the chosen ones carry the light of all.
-
-    The density mixes the visible contribution to a `subset` of the points (unshadowed light times the visible
-    share by `rays_each` rays) with a `defensive` share by flux alone, so that no light that could matter is
-    impossible.  Exact weights: the expected light is unchanged.  Returns the VPLs and the rays traced.
-    """
-    m, n = len(vpls.bounce), len(points.pixel)
-    if m <= count or n == 0:
-        return vpls, 0
-    rng = np.random.default_rng(seed)
-    # Systematic over the image order: spread evenly, weighted by how much each point shows.
-    visible_weight = points.albedo.mean(axis=1) + points.f0.mean(axis=1) + 1e-6
-    cdf = np.cumsum(visible_weight, dtype=np.float64)
-    picks = np.searchsorted(cdf, (np.arange(min(subset, n)) + rng.random()) / min(subset, n) * cdf[-1])
-    chosen = points.take(np.minimum(picks, n - 1))
-    weights = np.ones(len(chosen.pixel), np.float32)
-    reach = np.empty(m, np.float32)
-    seen = np.empty(m, np.float32)
-
-    def work(begin, end):
-        return _contributions(scene, vpls, begin, end, chosen, weights, np.float32(g_max), rays_each, np.uint32(seed), reach, seen)
-
-    rays = sum(run_chunks(work, m, 512, threads))
-    power = vpls.flux.astype(np.float64).mean(axis=1)
-    importance = reach.astype(np.float64) * (seen + 0.02)
-    density = defensive * power / power.sum()
-    if importance.sum() > 0:
-        density = density + (1 - defensive) * importance / importance.sum()
-    density /= density.sum()
-    # Systematic resampling; a light that is picked k times is one light with k shares.
-    cdf = np.cumsum(density)
-    picks = np.searchsorted(cdf / cdf[-1], (np.arange(count) + rng.random()) / count)
-    index, copies = np.unique(np.minimum(picks, m - 1), return_counts=True)
-    kept = vpls.take(index)
-    kept.flux[:] *= (copies / (count * density[index]))[:, None].astype(np.float32)
-    return kept, rays

@@ -14,7 +14,6 @@ from .jit import CompileTimer
 from .lamps import build_emitters, direct_irradiance, world_tables
 from .layers import Layers
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
-from .particles import Vpls, resample, trace_particles
 from .rays import RayScene
 from .scene import TRANSPARENT, Scene, Skipped
 from .settings import RenderSettings
@@ -22,11 +21,10 @@ from .threads import Cancelled, thread_count
 from .transport import Transport, transport
 from .view.points import ShadingPoints
 from .view.primary import View, view
+from .vpl_pool import vpl_pool
 
 # progress(stage, fraction) -> True to go on, False to cancel.
 StageProgress = Callable[[str, float], bool]
-
-OVERTRACE = 8  # particles for each VPL wanted: those that the view cannot use are resampled away
 
 
 @dataclass
@@ -61,7 +59,9 @@ class _Run:
         self.seconds["jit"] = self.seconds.get("jit", 0.0) + jit
 
 
-def render(scene: Scene, settings: RenderSettings, progress: StageProgress | None = None, *, extraction_seconds: float = 0.0) -> RenderResult:
+def render(
+    scene: Scene, settings: RenderSettings, progress: StageProgress | None = None, *, extraction_seconds: float = 0.0
+) -> RenderResult:
     """Compute the layers that `settings` ask for.
 
     Raises:
@@ -114,7 +114,9 @@ def _method(settings: RenderSettings) -> str:
     raise SceneError(f"method {settings.method!r} is not available; use instant-radiosity or auto")
 
 
-def _indirect(run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, method: str, threads: int) -> tuple[np.ndarray, int]:
+def _indirect(
+    run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, method: str, threads: int
+) -> tuple[np.ndarray, int]:
     """Indirect irradiance at the points (N, 3), and the number of VPLs used."""
     nothing = np.zeros((len(points.pixel), 3), np.float32)
     if settings.bounces < 1 or settings.vpls < 1:
@@ -124,14 +126,11 @@ def _indirect(run: _Run, tables: Transport, points: ShadingPoints, settings: Ren
         run.skipped.append(Skipped("vpls", "every visible albedo is black"))
         return nothing, 0
     with run.stage("vpls") as tick:
-        vpls, rays = trace_particles(tables, settings.vpls * OVERTRACE, settings.bounces, settings.seed, threads, tick)
-        run.rays["light"] += rays
-        traced = len(vpls.bounce)
-        vpls = drop_useless(vpls, points)
-        if len(vpls.bounce) < traced:
-            run.skipped.append(Skipped("vpls", f"{traced - len(vpls.bounce)} of {traced} VPLs lie behind every visible point"))
-        vpls, rays = resample(tables, vpls, points, settings.vpls, clamp_of(vpls, points), settings.seed, threads)
-        run.rays["shadow"] += rays
+        vpls, counts = vpl_pool(tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick)
+        run.rays["light"] += counts["light"]
+        run.rays["shadow"] += counts["shadow"]
+        if counts["useless"]:
+            run.skipped.append(Skipped("vpls", f"{counts['useless']} of {counts['traced']} VPLs lie behind every visible point"))
     if len(vpls.bounce) == 0:
         run.skipped.append(Skipped("vpls", "no lamp's light reaches a surface"))
         return nothing, 0
@@ -145,16 +144,6 @@ def _indirect(run: _Run, tables: Transport, points: ShadingPoints, settings: Ren
         run.rays["shadow"] += solver.rays
         run.pairs += solver.pairs
     return irradiance, len(vpls.bounce)
-
-
-def drop_useless(vpls: Vpls, points: ShadingPoints) -> Vpls:
-    """Without the VPLs whose half-space holds no shading point (by the points' bounding box)."""
-    if len(points.pixel) == 0 or len(vpls.bounce) == 0:
-        return vpls
-    low, high = points.position.min(axis=0), points.position.max(axis=0)
-    farthest = np.where(vpls.normal > 0, high, low)
-    ahead = ((farthest - vpls.position) * vpls.normal).sum(axis=1) > 0
-    return vpls if ahead.all() else vpls.take(ahead)
 
 
 def splat(points: ShadingPoints, irradiance: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -196,5 +185,3 @@ def compose(seen: View, direct: np.ndarray, indirect: np.ndarray, scene: Scene) 
         offset=(camera.border[0], camera.border[1]),
         full_size=(camera.width, camera.height),
     )
-
-

@@ -12,16 +12,15 @@ import numpy as np
 from ..jit import kernel
 from ..particles import Vpls
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
-from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_triangle, hit_u, hit_v, is_occluded, new_packet, set_ray
-from ..rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
-from ..sampling.hashing import uniform
+from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_triangle, hit_u, hit_v, new_packet, set_ray
+from ..rays.trace import ALL, intersect_packet
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..sampling.sequences import r2
 from ..scene import DIFFUSE, TRANSPARENT
 from ..surfaces.layout import SURFACE, total_albedo_average
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
-from ..surfaces.visibility import transmittance1
+from ..surfaces.visibility import shadow_packet
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
@@ -51,6 +50,7 @@ def _shade(scene, vpls, points, begin, end, g_max, visibility, cutouts, out):
     n = end - begin
     g = np.empty(n, np.float32)
     lane_of = np.empty(WIDTH, np.int32)
+    through = np.ones((WIDTH, 3), np.float32)
     packet = new_packet()
     surface = np.zeros(SURFACE, np.float32)
     rows = new_registers(scene.materials)
@@ -84,23 +84,14 @@ def _shade(scene, vpls, points, begin, end, g_max, visibility, cutouts, out):
                     gx, gy, gz = points.ng[k, 0], points.ng[k, 1], points.ng[k, 2]
                     ox, oy, oz, dx, dy, dz = shadow_segment(px, py, pz, gx, gy, gz, points.error[k], x, y, z, nx, ny, nz, vpls.error[j])
                     set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
-                occluded_packet(scene.rays, OPAQUE, packet, lanes)
+                shadow_packet(
+                    scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, lanes, DIFFUSE, cutouts, through
+                )
                 rays += lanes
             for lane in range(lanes):
-                if visibility and is_occluded(packet, lane):
-                    continue
                 k = lane_of[lane]
                 f = min(g[k], g_max)
-                tr = tg = tb = _1
-                if visibility and cutouts:
-                    p = begin + k
-                    px, py, pz = points.position[p, 0], points.position[p, 1], points.position[p, 2]
-                    gx, gy, gz = points.ng[p, 0], points.ng[p, 1], points.ng[p, 2]
-                    ox, oy, oz, dx, dy, dz = shadow_segment(px, py, pz, gx, gy, gz, points.error[p], x, y, z, nx, ny, nz, vpls.error[j])
-                    tr, tg, tb = transmittance1(
-                        scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface,
-                        ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE,
-                    )  # fmt: skip
+                tr, tg, tb = through[lane, 0], through[lane, 1], through[lane, 2]
                 part[k, 0] += f * r * tr
                 part[k, 1] += f * gr * tg
                 part[k, 2] += f * b * tb
@@ -162,9 +153,7 @@ def _compensate(scene, points, begin, end, g_max, samples, bounces, seed, out):
                 wr = wg = wb = _1
                 if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
                     cosine = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
-                    ox, oy, oz = offset_origin(
-                        px, py, pz, points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz
-                    )
+                    ox, oy, oz = offset_origin(px, py, pz, points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz)
                     triangle, u, v, _, wr, wg, wb = nearest_surface(
                         scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.sqrt(cosine / g_max), DIFFUSE, seed, path, 60
                     )

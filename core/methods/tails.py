@@ -63,7 +63,9 @@ def path_irradiance(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx
     er = eg = eb = _0
     wr = wg = wb = _1
     for vertex in range(bounces):
-        r, g, b = direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, vertex * DIMENSIONS)
+        r, g, b = direct_irradiance_at(
+            scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, vertex * DIMENSIONS
+        )
         er, eg, eb = er + wr * r, eg + wg * g, eb + wb * b
         if vertex + 1 == bounces:
             break
@@ -91,5 +93,3 @@ def path_irradiance(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx
         if gx * dx + gy * dy + gz * dz > 0:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
     return er, eg, eb
-
-

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel
-from ..rays.trace import CUTOUT, intersect1
+from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_FAR, T_NEAR, WIDTH
+from ..rays.trace import CUTOUT, OPAQUE, intersect1, occluded_packet
 from .layout import TRANSPARENCY
 from .program import MEAN_VIEW, evaluate
 
@@ -35,3 +36,33 @@ def transmittance1(rays, materials, material, attributes, packet, rows, surface,
             break
         start = t + np.float32(1e-5) * abs(t)
     return _0, _0, _0
+
+
+@kernel
+def shadow_packet(rays, materials, material, attributes, packet, rows, surface, count, kinds, cutouts, transmitted):
+    """Trace the shadow rays in lanes 0..count-1 and write what they let through into `transmitted` (16, 3).
+
+    cutouts: whether the scene has transparent triangles at all.  Only the rays that meet one are walked singly.
+    """
+    occluded_packet(rays, OPAQUE, packet, count)
+    waiting = False
+    for lane in range(count):
+        open_ = _0 if packet.f[T_FAR * WIDTH + lane] == OCCLUDED else _1
+        transmitted[lane, 0] = transmitted[lane, 1] = transmitted[lane, 2] = open_
+        waiting |= open_ > 0
+    if not cutouts or not waiting:
+        return
+    # Lanes that are blocked already have an empty range and cost nothing here.
+    f = packet.f
+    end = np.empty(WIDTH, np.float32)
+    for lane in range(count):
+        end[lane] = f[T_FAR * WIDTH + lane]
+    occluded_packet(rays, CUTOUT, packet, count)
+    for lane in range(count):
+        if end[lane] != OCCLUDED and f[T_FAR * WIDTH + lane] == OCCLUDED:
+            transmitted[lane, 0], transmitted[lane, 1], transmitted[lane, 2] = transmittance1(
+                rays, materials, material, attributes, packet, rows, surface,
+                f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
+                f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane],
+                f[T_NEAR * WIDTH + lane], end[lane], kinds,
+            )  # fmt: skip

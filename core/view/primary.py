@@ -20,8 +20,8 @@ from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u,
 from ..rays.trace import ALL, intersect_packet
 from ..sampling.hashing import uniform
 from ..scene import CAMERA, NORMAL_MAPPED, TRANSPARENT, Scene
-from ..surfaces.normals import shading_normal
 from ..surfaces.layout import EMISSION, GLOSSY_F0, GLOSSY_F90, NORMAL, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo
+from ..surfaces.normals import shading_normal
 from ..surfaces.program import evaluate, new_registers
 from ..threads import Progress, run_chunks
 from .camera import camera_ray, camera_tables, strata, stratum
@@ -74,7 +74,9 @@ def _same_surface(px, py, pz, nx, ny, nz, qx, qy, qz, mx, my, mz, width):
 
 
 @kernel
-def _trace_tile(rays, camera, materials, material, attributes, tx, ty, side_x, side_y, seed, packet, rows, surface, hits, weight, direction, depth):
+def _trace_tile(
+    rays, camera, materials, material, attributes, tx, ty, side_x, side_y, seed, packet, rows, surface, hits, weight, direction, depth
+):
     """Trace the samples of one tile. hits: (16, P, 3) float32 bits of triangle, u, v; the number of rays comes back."""
     x1, y1 = camera.border[2], camera.border[3]
     origin = np.empty((WIDTH, 3), np.float32)
@@ -170,7 +172,23 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, si
         tx = x0 + (tile % tiles_x) * TILE
         ty = y0 + (tile // tiles_x) * TILE
         n_rays += _trace_tile(
-            rays, camera, materials, material, attributes, tx, ty, side_x, side_y, seed, packet, rows, surface, hits, weight, direction, depth
+            rays,
+            camera,
+            materials,
+            material,
+            attributes,
+            tx,
+            ty,
+            side_x,
+            side_y,
+            seed,
+            packet,
+            rows,
+            surface,
+            hits,
+            weight,
+            direction,
+            depth,
         )
         for lane in range(WIDTH):
             px, py = tx + lane % TILE, ty + lane // TILE

@@ -1,0 +1,177 @@
+"""The pool of VPLs for a view: particles are flown until enough of their lights reach what is seen.
+
+A sun, a spot through a window or a lamp in the next room sends most of its particles where no visible point
+receives them.  Lights behind every point are dropped; of the others, the pool keeps a number by what they can
+give to the view, with exact weights, so that the expected light is unchanged.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .jit import kernel
+from .particles import Vpls, trace_particles
+from .rays.offsets import shadow_segment
+from .rays.packet import is_occluded, new_packet, set_ray
+from .rays.trace import OPAQUE, occluded_packet
+from .sampling.hashing import uniform
+from .scene import DIFFUSE
+from .threads import Cancelled, Progress, run_chunks
+from .transport import Transport
+from .view.points import ShadingPoints
+
+BATCH = 8  # particles a batch, for each VPL wanted
+MOST_BATCHES = 16
+ENOUGH = 1.5  # lights that matter, for each VPL wanted
+SUBSET = 96  # shading points that stand for the view
+RAYS_EACH = 8  # shadow rays that tell how much of the view a light reaches
+DEFENSIVE = 0.2  # share of the density by flux alone: no light that could matter is impossible
+UNSEEN = 0.02  # visible share of a light that none of its rays saw
+
+
+@kernel
+def _contributions(scene, vpls, begin, end, points, weights, g_max, rays_each, seed, reach, seen):
+    """Of each VPL begin..end-1: its unshadowed light on the points, and the visible share of it by a few rays."""
+    n = len(points.pixel)
+    light = np.empty(n, np.float32)
+    packet = new_packet()
+    traced = 0
+    for i in range(begin, end):
+        x, y, z = vpls.position[i, 0], vpls.position[i, 1], vpls.position[i, 2]
+        nx, ny, nz = vpls.normal[i, 0], vpls.normal[i, 1], vpls.normal[i, 2]
+        total = np.float32(0.0)
+        for k in range(n):
+            dx, dy, dz = x - points.position[k, 0], y - points.position[k, 1], z - points.position[k, 2]
+            r2 = dx * dx + dy * dy + dz * dz
+            c = max(np.float32(0.0), points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz)
+            c *= max(np.float32(0.0), -(nx * dx + ny * dy + nz * dz))
+            f = weights[k] * min(c / max(r2 * r2, np.float32(1e-30)), g_max)
+            light[k] = f
+            total += f
+        power = (vpls.flux[i, 0] + vpls.flux[i, 1] + vpls.flux[i, 2]) * np.float32(1 / 3)
+        reach[i] = total * power
+        seen[i] = np.float32(0.0)
+        if not total > 0:
+            continue
+        # Stratified picks in proportion to the light, one shadow ray each.
+        k = 0
+        partial = light[0]
+        for j in range(rays_each):
+            target = (np.float32(j) + uniform(seed, i, j, 0)) / np.float32(rays_each) * total
+            while k + 1 < n and partial < target:
+                k += 1
+                partial += light[k]
+            ox, oy, oz, dx, dy, dz = shadow_segment(
+                points.position[k, 0], points.position[k, 1], points.position[k, 2],
+                points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], x, y, z, nx, ny, nz, vpls.error[i],
+            )  # fmt: skip
+            set_ray(packet, j, ox, oy, oz, dx, dy, dz, np.float32(0.0), np.float32(1.0), DIFFUSE)
+        occluded_packet(scene.rays, OPAQUE, packet, rays_each)
+        traced += rays_each
+        visible = 0
+        for j in range(rays_each):
+            if not is_occluded(packet, j):
+                visible += 1
+        seen[i] = np.float32(visible) / np.float32(rays_each)
+    return traced
+
+
+def drop_useless(vpls: Vpls, points: ShadingPoints) -> Vpls:
+    """Without the VPLs whose half-space holds no shading point (by the points' bounding box)."""
+    if len(points.pixel) == 0 or len(vpls.bounce) == 0:
+        return vpls
+    low, high = points.position.min(axis=0), points.position.max(axis=0)
+    farthest = np.where(vpls.normal > 0, high, low)
+    ahead = ((farthest - vpls.position) * vpls.normal).sum(axis=1) > 0
+    return vpls if ahead.all() else vpls.take(ahead)
+
+
+def view_subset(points: ShadingPoints, count: int, seed: int) -> ShadingPoints:
+    """`count` points spread evenly over the picture, in proportion to how much each shows."""
+    weight = points.albedo.mean(axis=1) + points.f0.mean(axis=1) + 1e-6
+    cdf = np.cumsum(weight, dtype=np.float64)
+    at = (np.arange(count) + np.random.default_rng(seed).random()) / count
+    return points.take(np.minimum(np.searchsorted(cdf, at * cdf[-1]), len(weight) - 1))
+
+
+def contributions(scene: Transport, vpls: Vpls, subset: ShadingPoints, g_max: float, seed: int, threads: int = 0) -> tuple[np.ndarray, int]:
+    """What each VPL gives to the points of `subset`, roughly: unshadowed light times the visible share (M,); rays traced."""
+    m = len(vpls.bounce)
+    weights = np.ones(len(subset.pixel), np.float32)
+    reach = np.empty(m, np.float32)
+    seen = np.empty(m, np.float32)
+
+    def work(begin, end):
+        return _contributions(scene, vpls, begin, end, subset, weights, np.float32(g_max), RAYS_EACH, np.uint32(seed), reach, seen)
+
+    rays = sum(run_chunks(work, m, 512, threads))
+    return reach.astype(np.float64) * (seen + UNSEEN), rays
+
+
+def resample(vpls: Vpls, importance: np.ndarray, count: int, seed: int) -> Vpls:
+    """At most `count` VPLs drawn by `importance` (M,), which carry the light of all: the expected light is unchanged."""
+    m = len(vpls.bounce)
+    if m <= count:
+        return vpls
+    power = vpls.flux.astype(np.float64).mean(axis=1)
+    density = DEFENSIVE * power / power.sum()
+    if importance.sum() > 0:
+        density = density + (1 - DEFENSIVE) * importance / importance.sum()
+    # Systematic resampling; a light that is picked k times is one light with k shares.
+    cdf = np.cumsum(density)
+    density = density / cdf[-1]
+    picks = np.searchsorted(cdf / cdf[-1], (np.arange(count) + np.random.default_rng(seed).random()) / count)
+    index, copies = np.unique(np.minimum(picks, m - 1), return_counts=True)
+    kept = vpls.take(index)
+    kept.flux[:] *= (copies / (count * density[index]))[:, None].astype(np.float32)
+    return kept
+
+
+def vpl_pool(
+    scene: Transport,
+    points: ShadingPoints,
+    count: int,
+    bounces: int,
+    g_max_of,
+    seed: int,
+    threads: int = 0,
+    progress: Progress | None = None,
+) -> tuple[Vpls, dict]:
+    """About `count` VPLs that light the view, after at most `bounces` diffuse surfaces.
+
+    g_max_of: (vpls, points) -> the clamp of the geometry term, which bounds what one light can seem to give.
+
+    Returns:
+        The VPLs, and counts: `light` and `shadow` rays, `traced` VPLs, `useless` ones (behind every point).
+    """
+    counts = {"light": 0, "shadow": 0, "traced": 0, "useless": 0}
+    subset = view_subset(points, min(SUBSET, len(points.pixel)), seed) if len(points.pixel) else points
+    parts: list[Vpls] = []
+    importance: list[np.ndarray] = []
+    g_max = None
+    for batch in range(MOST_BATCHES):
+        vpls, rays = trace_particles(scene, max(count * BATCH, 64), bounces, seed + 7919 * batch, threads)
+        counts["light"] += rays
+        counts["traced"] += len(vpls.bounce)
+        kept = drop_useless(vpls, points)
+        counts["useless"] += len(vpls.bounce) - len(kept.bounce)
+        if len(kept.bounce):
+            g_max = g_max_of(kept, points) if g_max is None else g_max
+            light, rays = contributions(scene, kept, subset, g_max, seed + batch, threads)
+            counts["shadow"] += rays
+            parts.append(kept)
+            importance.append(light)
+            every = np.concatenate(importance)
+            squares = (every**2).sum()
+            # Lights that matter: so many of equal importance would make as good a pool (Kish's effective size).
+            if squares > 0 and every.sum() ** 2 / squares >= ENOUGH * count:
+                break
+        elif counts["traced"] == 0:
+            break
+        if progress is not None and not progress((batch + 1) / MOST_BATCHES):
+            raise Cancelled
+    pool = Vpls.concatenate(parts)
+    if parts:
+        pool.flux[:] *= np.float32(1.0 / (batch + 1))
+        pool = resample(pool, np.concatenate(importance), count, seed)
+    return pool, counts
