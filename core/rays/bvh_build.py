@@ -11,7 +11,7 @@ from ..jit import kernel
 
 BINS = 16
 LEAF_SIZE = 4
-TRAVERSAL_COST = np.float32(1.0)  # of one node, in units of one triangle test
+TRAVERSAL_COST = np.float32(2.0)  # of one node, in units of one triangle test
 
 # Words of a node (float32; the last four are int32 in the same memory): the boxes of both children, then
 # where they are. A child of `count` > 0 triangles is a leaf and `child` its first triangle; else a node.
