@@ -64,7 +64,7 @@ def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
         scale = np.where(sun & (half > 0), 1 / (np.pi * np.sin(half) ** 2), scale)
     shape_area = np.prod(size, 1) * np.where(ellipse, np.pi / 4, 1.0)
     # Integral of cos (1 - tan / tan_half) over the cone of an area lamp's spread.
-    spread_cosine = np.where(full, np.pi, np.pi * (1 - half / tangent))
+    spread_cosine = np.pi * (1 - np.where(area & ~full, half, 0.0) / np.where(area, tangent, 1.0))
     flux_factor = np.where(sphere, 2 * np.pi * solid_cosine, np.where(area, shape_area * spread_cosine, 0.0))
     if sun.any():
         flux_factor[sun] = projected_box_area(box, axes[sun, 2])
@@ -184,7 +184,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0) -> E
         mesh=mesh,
         tree=tb.light_tree(bounds, members),
         groups=groups.astype(np.int32),
-        emission_cdf=cumulative(flux.mean(1), np.float64),
+        emission_cdf=cumulative(flux.mean(1), np.float64) if len(kind) else np.zeros(1),
         box=box,
         vertices=scene.geometry.vertices,
         triangles=scene.geometry.triangles,

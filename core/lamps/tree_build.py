@@ -52,7 +52,8 @@ def merge(total, row):
     if row[ENERGY] <= 0.0:
         return
     if total[ENERGY] <= 0.0:
-        total[:] = row
+        for j in range(COLUMNS):
+            total[j] = row[j]
         return
     for j in range(3):
         total[LOWER + j] = min(total[LOWER + j], row[LOWER + j])

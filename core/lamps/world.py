@@ -43,26 +43,33 @@ def projected_box_area(box: np.ndarray, direction: np.ndarray) -> np.ndarray:
     return np.abs(direction) @ np.array([y * z, z * x, x * y])
 
 
+def _entering(box: np.ndarray, height: int, width: int) -> np.ndarray:
+    """(H, W): what a unit radiance in each pixel sends into the box, m^2 sr; coarse pixels in finer parts."""
+    parts = max(1, -(-64 // height))
+    direction, solid_angle = pixel_directions(height * parts, width * parts)
+    fine = projected_box_area(box, direction) * solid_angle
+    return fine.reshape(height, parts, width, parts).sum((1, 3))
+
+
 def world_table(radiance: np.ndarray, box: np.ndarray) -> tuple[WorldTable, np.ndarray, np.ndarray]:
     """Table of a world (H, W, 3), its mean radiance (3,) and the flux (3,) that it sends into the box (W)."""
     radiance = np.ascontiguousarray(radiance, np.float32)
     height, width = radiance.shape[:2]
     constant = bool((radiance == radiance[0, 0]).all())
     if constant:
-        # A constant world needs no fine image; 32 rows follow the projected area of the box closely enough.
+        radiance = radiance[:1, :1]
+        # A constant world needs no fine image, but its particles follow the projected area of the box.
         height, width = 32, 64
-        radiance_for_density = np.broadcast_to(radiance[0, 0], (height, width, 3)).astype(np.float64)
-    else:
-        radiance_for_density = radiance.astype(np.float64)
+    radiance_for_density = np.broadcast_to(radiance, (height, width, 3)).astype(np.float64)
     direction, solid_angle = pixel_directions(height, width)
     mean = (radiance_for_density * solid_angle[..., None]).sum((0, 1)) / (4 * np.pi)
     value = radiance_for_density.mean(-1)
     above = np.maximum(value - mean.mean(), 0) * solid_angle
-    entering = projected_box_area(box, direction) * solid_angle
+    entering = _entering(box, height, width)
     emitted = value * entering
     harmonics = (value[..., None] * solid_angle[..., None] * direction).sum((0, 1)) / 2
     table = WorldTable(
-        radiance=radiance[:1, :1] if constant else radiance,
+        radiance=radiance,
         rows=cumulative(above.sum(1)),
         columns=cumulative(above),
         emission_rows=cumulative(emitted.sum(1)),
