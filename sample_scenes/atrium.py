@@ -84,7 +84,7 @@ def build(detail: Detail):
     world(clear_sky(-SUN, (0.30, 0.55, 1.15)))
     camera((-9.1, -1.9, 1.7), (9.8, 1.6, 4.1), lens=19.0)
     camera((-6.0, 7.3, 1.75), (9.0, 3.6, 2.4), lens=22.0, name="Aisle camera", active=False)
-    camera((-6.4, -6.5, GALLERY + 1.65), (4.0, 5.0, 4.4), lens=20.0, name="Gallery camera", active=False)
+    camera((-4.9, -6.35, GALLERY + 1.65), (2.5, 5.0, 4.4), lens=20.0, name="Gallery camera", active=False)
     return scene
 
 

@@ -126,3 +126,42 @@ def frond(seed: int, colour: Sequence[float], size: int = 256) -> np.ndarray:
     tone = np.random.default_rng(seed).normal(1, 0.12, 64)[np.floor(position).astype(int) % 64]
     rgb = _tinted(colour, np.where(rib, 1.5, tone) * (1 + 0.06 * noise(seed, 1.0, size)))
     return np.concatenate([rgb, (leaflets | rib)[..., None]], axis=2)
+
+
+def painting(seed: int, size: int = 192) -> np.ndarray:
+    """A landscape in oil: sky, far hills, a nearer ridge and a field, each with its own palette and brushwork."""
+    rng = np.random.default_rng(seed)
+    sky = rng.uniform([0.25, 0.35, 0.45], [0.75, 0.6, 0.65])
+    hills = rng.uniform([0.08, 0.12, 0.16], [0.3, 0.3, 0.38])
+    ridge = rng.uniform([0.05, 0.09, 0.04], [0.28, 0.24, 0.12])
+    field = rng.uniform([0.2, 0.18, 0.05], [0.6, 0.42, 0.16])
+    v = np.broadcast_to((np.arange(size)[:, None] + 0.5) / size, (size, size))
+    clouds = noise(seed + 1, 1.7, size)
+    skyline = rng.uniform(0.45, 0.62) + 0.06 * noise(seed + 2, 1.8, size)[0]
+    brow = rng.uniform(0.25, 0.4) + 0.05 * noise(seed + 3, 1.6, size)[0]
+    picture = sky * (1.0 + 0.25 * clouds + 0.5 * (1 - v))[..., None]
+    picture = np.where((v < skyline)[..., None], hills * (1.2 + 0.2 * noise(seed + 4, 1.0, size))[..., None], picture)
+    picture = np.where((v < brow)[..., None], ridge * (1.0 + 0.3 * noise(seed + 5, 0.9, size))[..., None], picture)
+    meadow = brow - 0.16 + 0.03 * clouds
+    picture = np.where((v < meadow)[..., None], field * (1.0 + 0.25 * noise(seed + 6, 0.8, size))[..., None], picture)
+    return np.clip(picture, 0.01, 0.85)
+
+
+def stained_glass(seed: int, columns: int, rows: int, size: int = SIZE) -> np.ndarray:
+    """Transmittance of leaded glass: a border, lozenges of several colours, dark leads between them."""
+    rng = np.random.default_rng(seed)
+    v, u = np.meshgrid((np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size, indexing="ij")
+    first, second = u * columns + v * rows, u * columns - v * rows
+    lead = (np.abs(first % 1 - 0.5) > 0.45) | (np.abs(second % 1 - 0.5) > 0.45)
+    border = np.minimum(u, 1 - u) < 0.1
+    lead |= np.abs(np.minimum(u, 1 - u) - 0.1) < 0.008
+    palette = np.array(
+        [(0.70, 0.06, 0.04), (0.05, 0.13, 0.62), (0.85, 0.55, 0.10), (0.08, 0.42, 0.16), (0.75, 0.72, 0.62), (0.35, 0.08, 0.45)]
+    )
+    weights = [0.26, 0.34, 0.16, 0.1, 0.1, 0.04]
+    choice = rng.choice(len(palette), size=(64, 64), p=weights)
+    lozenge = choice[np.floor(first).astype(int) % 64, np.floor(second).astype(int) % 64]
+    frieze = np.where(np.floor(v * rows * 2).astype(int) % 2 == 0, 0, 2)
+    colour = palette[np.where(border, frieze, lozenge)]
+    colour = colour * (1 + 0.12 * noise(seed, 0.9, size))[..., None]
+    return np.clip(np.where(lead[..., None], 0.015, colour), 0.0, 0.95)

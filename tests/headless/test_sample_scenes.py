@@ -8,6 +8,7 @@ import bpy  # isort: skip (bmesh is found only after bpy)
 import bmesh
 import numpy as np
 import pytest
+
 from lumigate import sample_scenes
 
 
@@ -90,3 +91,21 @@ def test_furnace_radiance_approaches_its_closed_form():
 def test_full_atrium_is_as_detailed_as_a_real_scene():
     sample_scenes.build("atrium")
     assert triangle_count() >= 200_000
+
+
+@pytest.mark.parametrize("name, inside", [("corridor", (9.0, 0.0, 1.4)), ("furnace", (0.2, -0.1, 0.3))])
+def test_no_light_leaks_in_or_out(name, inside):
+    """From a point indoors every ray, and every bounce after it, meets the front of some surface within the building."""
+    scene = sample_scenes.build(name, detail="low")
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    rng = np.random.default_rng(0)
+    for _ in range(400):
+        origin = np.array(inside)
+        for _ in range(6):
+            direction = rng.normal(size=3)
+            direction /= np.linalg.norm(direction)
+            hit, location, normal, _, thing, _ = scene.ray_cast(depsgraph, origin, direction)
+            assert hit, f"{name}: a ray escapes from {origin} along {direction}"
+            if not thing.data.name.startswith("Open "):
+                assert np.dot(normal, direction) < 1e-4, f"{name}: the back of {thing.name} is seen at {location}"
+            origin = np.array(location) - 1e-3 * direction
