@@ -7,7 +7,7 @@ import bpy
 from ...core.errors import SceneError
 from ...core.scene import Scene
 from ..materials import MaterialUse, compile_materials
-from .camera import camera_warnings, extract_camera, find_camera, image_size
+from .camera import camera_warnings, extract_camera, find_camera, image_frame
 from .evaluation import in_render_depsgraph
 from .geometry import Collected, assemble, collect
 from .lamps import CollectedLamps, collect_lamps, to_arrays
@@ -39,17 +39,16 @@ def extract_scene(
     if frame is not None and frame != scene.frame_current:
         scene.frame_set(frame)
     eye = find_camera(scene, camera)
-    width, height = image_size(scene, size)
+    pixels = image_frame(scene, size)
+    warnings = camera_warnings(eye, scene)
     layer = _view_layer(scene, view_layer, depsgraph)
 
     def read(graph: bpy.types.Depsgraph):
-        seen = eye.evaluated_get(graph)
-        place = extract_camera(seen, scene, width, height)
-        return collect(graph), collect_lamps(graph), place, camera_warnings(seen, scene)
+        return collect(graph), collect_lamps(graph), extract_camera(eye.evaluated_get(graph), pixels)
 
     found: Collected
     lamps: CollectedLamps
-    found, lamps, view, warnings = in_render_depsgraph(scene, layer, read) if depsgraph is None else read(depsgraph)
+    found, lamps, view = in_render_depsgraph(scene, layer, read) if depsgraph is None else read(depsgraph)
     graph = depsgraph if depsgraph is not None else layer.depsgraph
     compiled = compile_materials(_uses(found, graph))
     geometry, origin, dropped = assemble(found, compiled)

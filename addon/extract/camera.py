@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import bpy
 import numpy as np
 
@@ -33,24 +35,41 @@ def find_camera(scene: bpy.types.Scene, name: str | None = None) -> bpy.types.Ob
     return camera
 
 
-def image_size(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> tuple[int, int]:
-    """Width and height of the full frame in pixels: `size`, else the scene's resolution times its percentage.
+@dataclass(frozen=True)
+class Frame:
+    """The pixel grid: size of the full frame, the border to render (x0, y0, x1, y1; y down), width to height of a pixel."""
+
+    width: int
+    height: int
+    border: tuple[int, int, int, int]
+    pixel_aspect: float
+
+
+def image_frame(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> Frame:
+    """The pixels of `size`, else of the scene's resolution times its percentage.
 
     Raises:
-        SceneError: the image has no pixels.
+        SceneError: the image or its render border has no pixels.
     """
     render = scene.render
     width, height = size or tuple(r * render.resolution_percentage // 100 for r in (render.resolution_x, render.resolution_y))
     if width < 1 or height < 1:
         raise SceneError(f"scene '{scene.name}' would be rendered at {width}x{height} pixels: set a larger resolution")
-    return int(width), int(height)
+    border = (0, 0, width, height)
+    if render.use_border:  # cut off to whole pixels, as Blender does
+        x0, x1 = int(render.border_min_x * width), int(render.border_max_x * width)
+        y0, y1 = int(render.border_min_y * height), int(render.border_max_y * height)
+        if x1 <= x0 or y1 <= y0:
+            raise SceneError(f"the render region of scene '{scene.name}' holds no pixel: enlarge it or clear it (Ctrl-Alt-B)")
+        border = (x0, height - y1, x1, height - y0)
+    return Frame(int(width), int(height), border, render.pixel_aspect_x / render.pixel_aspect_y)
 
 
-def extract_camera(camera: bpy.types.Object, scene: bpy.types.Scene, width: int, height: int) -> Camera:
+def extract_camera(camera: bpy.types.Object, frame: Frame) -> Camera:
     """An evaluated camera object; its position is still in world space.
 
     Raises:
-        SceneError: its scale is zero, or the render border holds no pixel.
+        SceneError: its scale is zero.
     """
     data = camera.data
     placed = np.array(camera.matrix_world, np.float64)
@@ -61,10 +80,10 @@ def extract_camera(camera: bpy.types.Object, scene: bpy.types.Scene, width: int,
     return Camera(
         matrix=placed,
         orthographic=data.type == "ORTHO",
-        window=_window(data, scene.render, width, height),
-        width=width,
-        height=height,
-        border=_border(scene, width, height),
+        window=_window(data, frame),
+        width=frame.width,
+        height=frame.height,
+        border=frame.border,
         near=data.clip_start,
         far=data.clip_end,
         name=camera.name,
@@ -87,28 +106,16 @@ def _cameras(scene: bpy.types.Scene) -> str:
     return ", ".join(sorted(ob.name for ob in scene.objects if ob.type == "CAMERA")) or "none (add one)"
 
 
-def _window(data: bpy.types.Camera, render: bpy.types.RenderSettings, width: int, height: int) -> tuple[float, float, float, float]:
+def _window(data: bpy.types.Camera, frame: Frame) -> tuple[float, float, float, float]:
     """Left, right, bottom and top edge of the image at distance 1, or in metres if orthographic.
 
     The larger side (or the one that the sensor fit names) spans the sensor or the orthographic scale;
     shift counts in units of that side (`blender_camera_viewplane` of Cycles' blender/camera.cpp).
     """
-    wide, high = width * render.pixel_aspect_x, height * render.pixel_aspect_y
+    wide, high = frame.width * frame.pixel_aspect, frame.height
     horizontal = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and wide > high)
     sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
     span = data.ortho_scale if data.type == "ORTHO" else sensor / data.lens
     half_x, half_y = (0.5 * span, 0.5 * span * high / wide) if horizontal else (0.5 * span * wide / high, 0.5 * span)
     x, y = data.shift_x * span, data.shift_y * span
     return x - half_x, x + half_x, y - half_y, y + half_y
-
-
-def _border(scene: bpy.types.Scene, width: int, height: int) -> tuple[int, int, int, int]:
-    """The render border in pixels, y down, cut off to whole pixels as Blender does."""
-    render = scene.render
-    if not render.use_border:
-        return 0, 0, width, height
-    x0, x1 = int(render.border_min_x * width), int(render.border_max_x * width)
-    y0, y1 = int(render.border_min_y * height), int(render.border_max_y * height)
-    if x1 <= x0 or y1 <= y0:
-        raise SceneError(f"the render region of scene '{scene.name}' holds no pixel: enlarge it or clear it (Ctrl-Alt-B)")
-    return x0, height - y1, x1, height - y0

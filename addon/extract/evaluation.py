@@ -17,6 +17,16 @@ from ...core.errors import SceneError
 
 Result = TypeVar("Result")
 
+# Blender refuses to render less than 16 pixels a side.
+_SMALL = {
+    "resolution_x": 16,
+    "resolution_y": 16,
+    "resolution_percentage": 100,
+    "use_border": False,
+    "use_compositing": False,
+    "use_sequencer": False,
+}
+
 
 @contextmanager
 def overridden(target: Any, **values: Any) -> Iterator[None]:
@@ -34,7 +44,7 @@ def overridden(target: Any, **values: Any) -> Iterator[None]:
 def in_render_depsgraph(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, work: Callable[[bpy.types.Depsgraph], Result]) -> Result:
     """`work(depsgraph)` with the render evaluation of the scene's present frame; its result.
 
-    Not to be called while another render runs (a render engine has its own `depsgraph`).
+    For the time of it `scene.render` is not the user's: read what is needed of that before.  Not to be called while another render runs (a render engine has its own `depsgraph`).
     """
     results: list[Result] = []
     errors: list[BaseException] = []
@@ -52,9 +62,7 @@ def in_render_depsgraph(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer,
 
     bpy.utils.register_class(Probe)
     try:
-        with overridden(
-            scene.render, engine=Probe.bl_idname, resolution_percentage=1, use_compositing=False, use_sequencer=False, use_border=False
-        ):
+        with overridden(scene.render, engine=Probe.bl_idname, **_SMALL):
             bpy.ops.render.render(scene=scene.name, layer=view_layer.name)
     except RuntimeError as error:
         raise SceneError(f"Blender cannot evaluate scene '{scene.name}' for a render: {error}") from error

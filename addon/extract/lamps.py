@@ -4,7 +4,7 @@ With radiant power P (colour, exposure and node tree multiplied in), Cycles' con
     point, spot   intensity P / (4 pi) in every direction of the cone; a sphere of radius r has the radiance
                   P / (4 pi^2 r^2), or P / pi where `normalize` is off
     sun           irradiance P on a plane that faces it, or radiance P where `normalize` is off
-    area          radiance P / (4 A), or P / 4, times the softbox factor of its spread
+    area          radiance P / (pi A), or P / pi, times the softbox factor of its spread
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ def _shape_area(lamp: Lamp, light: bpy.types.AreaLight, scale: np.ndarray, found
     if area <= 0:
         lamp.emission = np.zeros(3)
         return
-    lamp.emission = lamp.emission * 0.25 * _softbox(0.5 * lamp.angle) / (area if light.normalize else 1)
+    lamp.emission = lamp.emission * _softbox(0.5 * lamp.angle) / (math.pi * (area if light.normalize else 1))
 
 
 def _softbox(half: float) -> float:

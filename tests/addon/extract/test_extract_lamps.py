@@ -1,0 +1,239 @@
+"""Every kind of lamp: the irradiance that its extracted numbers imply is the irradiance by Cycles."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from lumigate.core.scene import ALL_RAYS, AREA, DIFFUSE, ELLIPSE, SPOT, SUN, Lamps
+
+DOWN_FROM = Matrix.Translation((0.3, -0.2, 2.0))
+TILTED = Matrix.Translation((0.6, 0.3, 1.7)) @ Matrix.Rotation(0.35, 4, "Y") @ Matrix.Rotation(-0.2, 4, "X")
+
+
+def disk_points(n: int) -> np.ndarray:
+    """(M, 2) points evenly over a disk of diameter 1."""
+    r = np.sqrt((np.arange(n) + 0.5) / n) / 2
+    phi = 2 * np.pi * (np.arange(4 * n) + 0.5) / (4 * n)
+    return np.stack([np.outer(r, np.cos(phi)).ravel(), np.outer(r, np.sin(phi)).ravel()], axis=1)
+
+
+def square_points(n: int) -> np.ndarray:
+    """(M, 2) points evenly over a square of side 1."""
+    x = (np.arange(n) + 0.5) / n - 0.5
+    return np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+
+
+def surface_irradiance(points, sources, facing, radiance, area):
+    """Irradiance (P,) on upward `points` from surface samples; `radiance` of the cosine at the source, both (P, S)."""
+    to = sources - points[:, None]
+    squared = (to**2).sum(-1)
+    direction = to / np.sqrt(squared)[..., None]
+    cosine = np.maximum(-(direction * facing).sum(-1), 0)
+    return (radiance(cosine, direction) * cosine * np.maximum(direction[..., 2], 0) / squared).mean(1) * area
+
+
+def spot_attenuation(lamps: Lamps, direction: np.ndarray) -> np.ndarray:
+    """Cycles' smoothstep of the cosine between the cone's axis and a ray towards the lamp."""
+    half = math.cos(0.5 * lamps.angle[0])
+    t = (direction @ lamps.axes[0, 2] - half) / ((1 - half) * max(lamps.blend[0], 1e-6))
+    t = np.clip(t, 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+def implied_irradiance(lamps: Lamps, origin: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(P, 3) irradiance of upward points by the one extracted lamp, from the definitions in core/scene.py."""
+    position, kind = lamps.position[0] + origin, lamps.kind[0]
+    x, y, z = lamps.axes[0].astype(float)
+    if kind == SUN:
+        return np.outer(np.full(len(points), z[2]), lamps.emission[0])
+    if kind == AREA:
+        shape = disk_points(40) if lamps.shape[0] == ELLIPSE else square_points(70)
+        size = lamps.size[0]
+        sources = (position + shape[:, :1] * size[0] * x + shape[:, 1:] * size[1] * y)[None]
+        area = size[0] * size[1] * (math.pi / 4 if lamps.shape[0] == ELLIPSE else 1)
+        tan_half = math.tan(0.5 * lamps.angle[0])
+
+        def softbox(cosine, _direction):
+            tangent = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, 1e-9)
+            return np.maximum(1 - tangent / tan_half, 0) if lamps.angle[0] < math.pi - 1e-6 else np.ones_like(cosine)
+
+        factor = surface_irradiance(points, sources, -z, softbox, area)
+    else:
+        axis = points - position
+        distance = np.linalg.norm(axis, axis=1, keepdims=True)
+        axis /= distance
+        radius = float(lamps.radius[0])
+        if radius == 0:
+            sources, area, lobe = np.broadcast_to(position, (len(points), 1, 3)), 1.0, 1.0
+        else:
+            # A sphere seen from a point is a disk that faces it: the far circle's, or with soft falloff the middle one.
+            soft = bool(lamps.soft_falloff[0])
+            shift = np.zeros_like(distance) if soft else radius**2 / distance
+            rim = np.full_like(distance, radius) if soft else radius * np.sqrt(1 - (radius / distance) ** 2)
+            u = np.cross(axis, [0.9, 0.1, 0.3])
+            u /= np.linalg.norm(u, axis=1, keepdims=True)
+            v = np.cross(axis, u)
+            disk = 2 * disk_points(25)
+            sources = (position + shift * axis)[:, None] + rim[:, None] * (disk[:, :1] * u[:, None] + disk[:, 1:] * v[:, None])
+            area, lobe = math.pi * rim[:, 0] ** 2, 1 / (math.pi * radius**2)
+
+        def cone(cosine, direction):
+            return lobe * (spot_attenuation(lamps, direction) if kind == SPOT else np.ones_like(cosine))
+
+        factor = surface_irradiance(points, sources, axis[:, None], cone, area)
+    return np.outer(factor, lamps.emission[0])
+
+
+LAMPS = {
+    "point": ("POINT", DOWN_FROM, dict(energy=50, shadow_soft_size=0)),
+    "point colour": ("POINT", DOWN_FROM, dict(energy=50, shadow_soft_size=0, color=(1, 0.5, 0.1))),
+    "point sphere": ("POINT", DOWN_FROM, dict(energy=50, shadow_soft_size=0.8, use_soft_falloff=False)),
+    "point soft": ("POINT", DOWN_FROM, dict(energy=50, shadow_soft_size=0.8, use_soft_falloff=True)),
+    "point raw": ("POINT", DOWN_FROM, dict(energy=5, shadow_soft_size=0, normalize=False)),
+    "point sphere raw": ("POINT", DOWN_FROM, dict(energy=5, shadow_soft_size=0.5, normalize=False, use_soft_falloff=False)),
+    "point scaled": ("POINT", DOWN_FROM @ Matrix.Scale(3, 4), dict(energy=50, shadow_soft_size=0.5, use_soft_falloff=False)),
+    "exposure": ("POINT", DOWN_FROM, dict(energy=50, shadow_soft_size=0, exposure=1.5)),
+    "temperature": ("POINT", DOWN_FROM, dict(energy=50, shadow_soft_size=0, use_temperature=True, temperature=3200, color=(0.5, 1, 1))),
+    "spot": ("SPOT", TILTED, dict(energy=80, shadow_soft_size=0, spot_size=1.0, spot_blend=0.5)),
+    "spot hard": ("SPOT", TILTED, dict(energy=80, shadow_soft_size=0, spot_size=2.2, spot_blend=0.0)),
+    "spot sphere": ("SPOT", TILTED, dict(energy=80, shadow_soft_size=0.4, spot_size=1.2, spot_blend=1.0, use_soft_falloff=False)),
+    "spot raw": ("SPOT", TILTED, dict(energy=8, shadow_soft_size=0, spot_size=1.0, spot_blend=0.5, normalize=False)),
+    "spot scaled": ("SPOT", TILTED @ Matrix.Diagonal((2, 2, 1, 1)), dict(energy=80, shadow_soft_size=0, spot_size=0.6, spot_blend=0.0)),
+    "sun": ("SUN", TILTED, dict(energy=3, angle=0)),
+    "sun disc": ("SUN", TILTED, dict(energy=3, angle=0.6)),
+    "sun disc raw": ("SUN", TILTED, dict(energy=3, angle=0.6, normalize=False)),
+    "sun scaled": ("SUN", TILTED @ Matrix.Scale(2, 4), dict(energy=3, angle=0.3)),
+    "square": ("AREA", TILTED, dict(energy=50, shape="SQUARE", size=0.8)),
+    "rectangle": ("AREA", TILTED, dict(energy=50, shape="RECTANGLE", size=0.5, size_y=1.5)),
+    "disk": ("AREA", TILTED, dict(energy=50, shape="DISK", size=1.0)),
+    "ellipse": ("AREA", TILTED, dict(energy=50, shape="ELLIPSE", size=0.5, size_y=1.5)),
+    "area raw": ("AREA", TILTED, dict(energy=10, shape="RECTANGLE", size=0.5, size_y=1.5, normalize=False)),
+    "area spread": ("AREA", TILTED, dict(energy=50, shape="SQUARE", size=1.5, spread=1.2)),
+    "disk spread": ("AREA", TILTED, dict(energy=50, shape="DISK", size=1.5, spread=0.5)),
+    "area scaled": ("AREA", TILTED @ Matrix.Diagonal((2, 0.5, 3, 1)), dict(energy=50, shape="SQUARE", size=0.8)),
+    "area mirrored": ("AREA", TILTED @ Matrix.Diagonal((-1.5, 1, 1, 1)), dict(energy=50, shape="RECTANGLE", size=0.5, size_y=1.0, spread=1.5)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", LAMPS)
+def test_irradiance_is_that_of_cycles(stage, cycles_irradiance, case):
+    kind, matrix, settings = LAMPS[case]
+    stage.receiver()
+    stage.lamp(kind, matrix, **settings)
+    extracted = stage.extract()
+    assert len(extracted.lamps) == 1, extracted.skipped
+    expected = cycles_irradiance(64)
+    implied = implied_irradiance(extracted.lamps, extracted.origin, stage.pixel_points)
+    assert expected.max() > 0.05
+    np.testing.assert_allclose(implied.mean(0), expected.mean(0), rtol=0.01)
+    # Pixel by pixel, so that a shape cannot be wrong with the right total; a hard cone's edge is excused.
+    off = np.abs(implied - expected) > 0.06 * expected.max()
+    assert off.mean() < 0.02
+
+
+def test_parallel_area_light_keeps_its_power(stage, cycles_irradiance):
+    stage.receiver()
+    stage.lamp("AREA", Matrix.Translation((0, 0, 2)), energy=30, shape="SQUARE", size=3, spread=0)
+    lamps = stage.extract().lamps
+    half = float(lamps.angle[0]) / 2
+    angle = (np.arange(1000) + 0.5) / 1000 * half
+    lobe = (1 - np.tan(angle) / math.tan(half)) * np.cos(angle) * np.sin(angle)
+    on_the_floor = lamps.emission[0] * 2 * math.pi * lobe.sum() * half / 1000
+    np.testing.assert_allclose(on_the_floor, cycles_irradiance(16).mean(0), rtol=0.01)
+
+
+def with_nodes(stage, build):
+    lamp = stage.lamp("POINT", DOWN_FROM, energy=50, shadow_soft_size=0)
+    tree = stage.nodes(lamp.data)
+    build(tree, next(node for node in tree.nodes if node.type == "EMISSION"))
+    return lamp
+
+
+def test_constant_nodes_multiply(stage, cycles_irradiance):
+    def build(tree, emission):
+        color, falloff, math_node = (tree.nodes.new("ShaderNode" + n) for n in ("RGB", "LightFalloff", "Math"))
+        color.outputs[0].default_value = 0.2, 0.4, 0.8, 1
+        falloff.inputs["Strength"].default_value = 3
+        math_node.operation = "MULTIPLY"
+        math_node.inputs[1].default_value = 0.5
+        tree.links.new(color.outputs[0], emission.inputs["Color"])
+        tree.links.new(falloff.outputs["Quadratic"], math_node.inputs[0])
+        tree.links.new(math_node.outputs[0], emission.inputs["Strength"])
+
+    stage.receiver()
+    with_nodes(stage, build)
+    scene = stage.extract()
+    assert not scene.warnings
+    implied = implied_irradiance(scene.lamps, scene.origin, stage.pixel_points)
+    np.testing.assert_allclose(implied.mean(0), cycles_irradiance(16).mean(0), rtol=0.01)
+
+
+def test_varying_nodes_are_named_in_a_warning(stage):
+    stage.cube()
+    with_nodes(stage, lambda tree, emission: tree.links.new(tree.nodes.new("ShaderNodeTexNoise").outputs[0], emission.inputs["Strength"]))
+    scene = stage.extract()
+    assert any("'Point'" in warning for warning in scene.warnings)
+    np.testing.assert_allclose(scene.lamps.emission[0], 50 / (4 * math.pi), rtol=1e-6)
+
+
+def test_nodes_without_surface_are_dark(stage):
+    stage.cube()
+    with_nodes(stage, lambda tree, emission: tree.nodes.remove(emission))
+    scene = stage.extract()
+    assert len(scene.lamps) == 0
+    assert "no power" in scene.skipped[0].reason
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda ob: setattr(ob.data, "energy", 0), "no power"),
+        (lambda ob: setattr(ob.data, "color", (0, 0, 0)), "no power"),
+        (lambda ob: setattr(ob.data, "energy", -5), "negative"),
+        (lambda ob: setattr(ob, "hide_render", True), "hidden"),
+        (lambda ob: setattr(ob.data.cycles, "is_portal", True), "portal"),
+        (lambda ob: setattr(ob, "scale", (0, 1, 1)), "scale"),
+        (lambda ob: setattr(ob.data, "size", 0), "size"),
+    ],
+)
+def test_lamps_that_shine_nothing_are_skipped_by_name(stage, spoil, reason):
+    stage.cube()
+    spoil(stage.lamp("AREA", energy=10))
+    scene = stage.extract()
+    assert len(scene.lamps) == 0
+    assert [(s.stage, "'Area'" in s.reason, reason in s.reason) for s in scene.skipped] == [("lamps", True, True)]
+
+
+def test_switches_groups_and_place(stage):
+    stage.cube().location = 100, 0, 0
+    lamp = stage.lamp("POINT", Matrix.Translation((101, 2, 3)), energy=1, use_shadow=False)
+    lamp.visible_camera, lamp.visible_diffuse = True, False
+    stage.scene.view_layers[0].lightgroups.add(name="key")
+    lamp.lightgroup = "key"
+    scene = stage.extract()
+    assert scene.lamps.names == ["Point"] and scene.lamps.groups == ["key"]
+    assert scene.lamps.visibility[0] == ALL_RAYS & ~DIFFUSE
+    assert scene.lamps.cast_shadow[0] == 0
+    np.testing.assert_allclose(scene.lamps.position[0] + scene.origin, (101, 2, 3), atol=1e-5)
+
+
+def test_instanced_lamps_shine_where_their_instances_are(stage):
+    stage.cube()
+    collection = bpy.data.collections.new("Lights")
+    light = bpy.data.lights.new("Bulb", "POINT")
+    collection.objects.link(bpy.data.objects.new("Bulb", light))
+    for x in (1, 2, 3):
+        instancer = stage.link("Instancer", None, Matrix.Translation((x, 0, 0)))
+        instancer.instance_type, instancer.instance_collection = "COLLECTION", collection
+    lamps = stage.extract().lamps
+    assert lamps.names == ["Bulb"] * 3
+    np.testing.assert_allclose(np.sort(lamps.position[:, 0]), (1, 2, 3), atol=1e-6)
+
+
+def test_elliptic_spot_cone_is_named_in_a_warning(stage):
+    stage.cube()
+    stage.lamp("SPOT", Matrix.Diagonal((1, 2, 1, 1)), energy=1)
+    assert any("'Spot'" in warning for warning in stage.extract().warnings)
