@@ -51,7 +51,7 @@ def contents(scene: Scene, emitters: Emitters) -> dict:
 def foresee(scene: Scene, emitters: Emitters) -> tuple[list[Skipped], list[str]]:
     """What a render of `scene` will leave out, and what will be wrong with it, as far as no ray is needed to know."""
     geometry, tables = scene.geometry, scene.materials.tables
-    shining = set(emitters.lamps.source.tolist())
+    shining = set(emitters.source.tolist())
     skipped = [Skipped("lamps", f"lamp '{name}' gives no light") for i, name in enumerate(scene.lamps.names) if i not in shining]
     worn = np.bincount(geometry.material, minlength=len(tables.flags)) > 0
     skipped += [Skipped("materials", f"material '{name}' is on no triangle") for name, used in zip(scene.materials.names, worn) if not used]

@@ -6,11 +6,39 @@ import numpy as np
 
 from ..sampling.discrete import cumulative
 from ..sampling.sequences import r2_points
-from ..scene import AREA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, POINT, SPOT, SUN, Scene
+from ..scene import AREA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, POINT, SPOT, SUN, TRANSPARENT, Scene
 from ..surfaces.batch import evaluate_batch
 from ..surfaces.layout import EMISSION
-from . import tree_build as tb
-from .tables import TRIANGLE, WORLD, Emitters, LampTable, MeshTable
+from .tables import (
+    AREA_M2,
+    AXIS,
+    AXIS_X,
+    CASTS_SHADOW,
+    CORNERS,
+    COS_E,
+    COS_INNER,
+    COS_O,
+    COS_OUTER,
+    ELLIPTIC,
+    ENERGY,
+    HALF_SPREAD,
+    LAMP,
+    LOWER,
+    NORMAL,
+    ONE_MINUS_COS,
+    POSITION,
+    RADIUS,
+    SHAPE,
+    SIZE,
+    SOFT,
+    TAN_HALF_SPREAD,
+    TEXTURED,
+    TRIANGLE,
+    UPPER,
+    WORLD,
+    Emitters,
+)  # fmt: skip
+from .tree_build import COLUMNS, TWO_SIDED, light_tree
 from .world import no_world, projected_box_area, world_table
 
 # Up to this many emitters near the scene are all sampled at every point; more of them go into the tree.
@@ -32,7 +60,7 @@ def _box(scene: Scene) -> np.ndarray:
 
 
 def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
-    """LampTable of the lamps that shine, with kind, radiance, flux, cast_shadow and bounds of each."""
+    """Index in the scene, kind, flags, radiance, flux, bounds and table of the lamps that shine."""
     lamps = scene.lamps
     f = np.float32
     emission = lamps.emission.astype(np.float64).reshape(-1, 3)
@@ -45,8 +73,9 @@ def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
     axes, radius = lamps.axes.reshape(-1, 3, 3)[keep].astype(f), lamps.radius[keep].astype(np.float64)
     angle, blend = lamps.angle[keep].astype(np.float64), lamps.blend[keep].astype(np.float64)
     size, position = lamps.size.reshape(-1, 2)[keep].astype(np.float64), lamps.position.reshape(-1, 3)[keep].astype(np.float64)
-    soft, ellipse = lamps.soft_falloff[keep], (lamps.shape[keep] == ELLIPSE).astype(np.uint8)
     sphere, sun, area = (kind == POINT) | (kind == SPOT), kind == SUN, kind == AREA
+    ellipse = area & (lamps.shape[keep] == ELLIPSE)
+    flags = CASTS_SHADOW * (lamps.cast_shadow[keep] > 0) + SOFT * (sphere & (lamps.soft_falloff[keep] > 0)) + ELLIPTIC * ellipse
     half = 0.5 * angle
 
     # Cycles: smoothstep((cos - cos_outer) / ((1 - cos_outer) blend)).
@@ -69,30 +98,22 @@ def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
     if sun.any():
         flux_factor[sun] = projected_box_area(box, axes[sun, 2])
 
-    bounds = np.zeros((len(keep), tb.COLUMNS))
+    bounds = np.zeros((len(keep), COLUMNS))
     reach = np.where(sphere[:, None], radius[:, None], 0.5 * (np.abs(axes[:, 0]) * size[:, :1] + np.abs(axes[:, 1]) * size[:, 1:]))
-    bounds[:, tb.LOWER : tb.LOWER + 3], bounds[:, tb.UPPER : tb.UPPER + 3] = position - reach, position + reach
-    bounds[:, tb.AXIS : tb.AXIS + 3] = -axes[:, 2]
-    # The light of a spot with a radius leaves around the axis from anywhere on the sphere: its cone alone bounds it.
-    bounds[:, tb.COS_O] = np.where(area | spot, 1.0, -1.0)
-    bounds[:, tb.COS_E] = np.where(area, np.where(full, 0.0, np.cos(half)), np.where(spot, cos_outer, 0.0))
-    bounds[:, tb.ENERGY] = emission.mean(1) * np.where(area, shape_area, 1.0)
+    bounds[:, LOWER : LOWER + 3], bounds[:, UPPER : UPPER + 3] = position - reach, position + reach
+    bounds[:, AXIS : AXIS + 3] = -axes[:, 2]
+    bounds[:, COS_O] = np.where(area | spot, 1.0, -1.0)
+    bounds[:, COS_E] = np.where(area, np.where(full, 0.0, np.cos(half)), np.where(spot, cos_outer, 0.0))
+    bounds[:, ENERGY] = emission.mean(1) * np.where(area, shape_area, 1.0)
 
-    table = LampTable(
-        source=keep,
-        position=position.astype(f),
-        axes=axes,
-        radius=radius.astype(f),
-        soft=soft,
-        cos_outer=cos_outer.astype(f),
-        cos_inner=cos_inner.astype(f),
-        one_minus_cos=np.where(sun, 2 * np.sin(0.5 * half) ** 2, 0).astype(f),
-        size=size.astype(f),
-        ellipse=ellipse,
-        half_spread=np.where(area, half, np.pi / 2).astype(f),
-        tan_half_spread=np.where(area, tangent, np.inf).astype(f),
-    )
-    return table, kind, emission * scale[:, None], emission * flux_factor[:, None], lamps.cast_shadow[keep], bounds
+    table = np.zeros((len(keep), LAMP), f)
+    table[:, POSITION : POSITION + 3] = position
+    table[:, AXIS_X : AXIS_X + 9] = axes.reshape(-1, 9)
+    table[:, RADIUS], table[:, SIZE : SIZE + 2] = radius, size
+    table[:, COS_OUTER], table[:, COS_INNER] = cos_outer, cos_inner
+    table[:, ONE_MINUS_COS] = np.where(sun, 2 * np.sin(0.5 * half) ** 2, 0)
+    table[:, HALF_SPREAD], table[:, TAN_HALF_SPREAD] = half, np.where(area, tangent, np.inf)
+    return keep, kind, flags, emission * scale[:, None], emission * flux_factor[:, None], bounds, table
 
 
 def _textured_means(scene: Scene, triangle: np.ndarray, area: np.ndarray, threads: int) -> np.ndarray:
@@ -115,7 +136,7 @@ def _textured_means(scene: Scene, triangle: np.ndarray, area: np.ndarray, thread
 
 
 def _mesh(scene: Scene, ray_kind: int, threads: int):
-    """MeshTable of the triangles that shine, with radiance, flux and bounds of each."""
+    """Index, material, flags, radiance, flux, bounds and table of the triangles that shine."""
     g, tables = scene.geometry, scene.materials.tables
     f = np.float32
     emissive = np.flatnonzero(tables.flags & EMISSIVE)
@@ -136,13 +157,15 @@ def _mesh(scene: Scene, ray_kind: int, threads: int):
     radiance, textured = radiance[shining], textured[shining]
     normal = cross / (2 * area)[:, None]
 
-    bounds = np.zeros((len(triangle), tb.COLUMNS))
-    bounds[:, tb.LOWER : tb.LOWER + 3], bounds[:, tb.UPPER : tb.UPPER + 3] = corners.min(1), corners.max(1)
-    bounds[:, tb.AXIS : tb.AXIS + 3] = normal
-    bounds[:, tb.COS_O], bounds[:, tb.TWO_SIDED] = 1.0, 1.0
-    bounds[:, tb.ENERGY] = radiance.mean(1) * area
-    table = MeshTable(triangle, corners.astype(f), normal.astype(f), area.astype(f), material, textured.astype(np.uint8))
-    return table, radiance, radiance * (2 * np.pi * area)[:, None], bounds
+    bounds = np.zeros((len(triangle), COLUMNS))
+    bounds[:, LOWER : LOWER + 3], bounds[:, UPPER : UPPER + 3] = corners.min(1), corners.max(1)
+    bounds[:, AXIS : AXIS + 3] = normal
+    bounds[:, COS_O], bounds[:, TWO_SIDED] = 1.0, 1.0
+    bounds[:, ENERGY] = radiance.mean(1) * area
+    table = np.zeros((len(triangle), SHAPE), f)
+    table[:, CORNERS : CORNERS + 9], table[:, NORMAL : NORMAL + 3], table[:, AREA_M2] = corners.reshape(-1, 9), normal, area
+    flags = CASTS_SHADOW + TEXTURED * textured
+    return triangle, material, flags, radiance, radiance * (2 * np.pi * area)[:, None], bounds, table
 
 
 def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0) -> Emitters:
@@ -153,21 +176,21 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0) -> E
     """
     f = np.float32
     box = _box(scene)
-    lamps, kind, radiance, flux, shadow, bounds = _lamps(scene, ray_kind, box)
-    mesh, mesh_radiance, mesh_flux, mesh_bounds = _mesh(scene, ray_kind, threads)
+    source, kind, flags, radiance, flux, bounds, lamps = _lamps(scene, ray_kind, box)
+    triangle, material, mesh_flags, mesh_radiance, mesh_flux, mesh_bounds, shapes = _mesh(scene, ray_kind, threads)
     world = no_world()
-    parts = [(kind, radiance, flux, shadow, bounds)]
+    parts = [(kind, flags, radiance, flux, bounds)]
     if scene.world.visibility & ray_kind and (scene.world.radiance > 0).any():
         world, mean, world_flux = world_table(scene.world.radiance, box)
-        parts.append((np.array([WORLD]), mean[None], world_flux[None], np.ones(1), np.zeros((1, tb.COLUMNS))))
-    m = len(mesh_radiance)
-    parts.append((np.full(m, TRIANGLE), mesh_radiance, mesh_flux, np.ones(m), mesh_bounds))
-    kind, radiance, flux, shadow, bounds = (np.concatenate(columns) for columns in zip(*parts))
+        parts.append((np.array([WORLD]), np.array([CASTS_SHADOW]), mean[None], world_flux[None], np.zeros((1, COLUMNS))))
+    m = len(triangle)
+    parts.append((np.full(m, TRIANGLE), mesh_flags, mesh_radiance, mesh_flux, mesh_bounds))
+    kind, flags, radiance, flux, bounds = (np.concatenate(columns) for columns in zip(*parts))
 
     distant = np.flatnonzero((kind == SUN) | (kind == WORLD))
     analytic = np.flatnonzero((kind != SUN) & (kind < WORLD))
     triangles = np.flatnonzero(kind == TRIANGLE)
-    if len(analytic) + len(triangles) <= FEW:
+    if len(analytic) + m <= FEW:
         single, members = np.concatenate([analytic, triangles]), np.zeros(0, np.int64)
     elif len(analytic) <= FEW:
         single, members = analytic, triangles
@@ -176,16 +199,21 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0) -> E
     groups = np.concatenate([single, distant, [-1] if len(members) else []])
     return Emitters(
         kind=kind.astype(np.int32),
+        flags=flags.astype(np.int32),
+        source=source,
         radiance=radiance.astype(f),
         flux=flux,
-        cast_shadow=shadow.astype(np.uint8),
         lamps=lamps,
+        first_triangle=len(kind) - m,
+        shapes=shapes,
+        triangle=triangle,
+        material=material,
         world=world,
-        mesh=mesh,
-        tree=tb.light_tree(bounds, members),
+        tree=light_tree(bounds, members),
         groups=groups.astype(np.int32),
         emission_cdf=cumulative(flux.mean(1), np.float64) if len(kind) else np.zeros(1),
         box=box,
+        cutouts=bool((scene.materials.tables.flags & TRANSPARENT).any()),
         vertices=scene.geometry.vertices,
         triangles=scene.geometry.triangles,
         attributes=scene.geometry.attributes,

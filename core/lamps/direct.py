@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import inlined, kernel
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.packet import WIDTH, disable_ray, is_occluded, new_packet, set_ray
 from ..rays.trace import OPAQUE, occluded1, occluded_packet
@@ -23,8 +23,8 @@ from ..surfaces.program import new_registers
 from ..surfaces.visibility import transmittance1
 from ..threads import Progress, run_chunks
 from .sample import sample_emitter
-from .tables import TRIANGLE, WORLD
-from .tree import descend, importance, tree_estimate
+from .tables import AXIS_Z, CASTS_SHADOW, ONE_MINUS_COS, TRIANGLE, WORLD
+from .tree import cut_estimate, descend, importance
 
 CHUNK = 4096  # points a chunk
 _BLOCK = 64  # points whose rays are traced together, lamp by lamp
@@ -36,23 +36,25 @@ _THIRD = np.float32(1 / 3)
 _SHORT = np.float32(0.9999)
 
 
-@kernel
+@inlined
 def group_estimate(emitters, group, px, py, pz, nx, ny, nz):
     """Estimate of the unshadowed irradiance (mean of the channels) of a group at p; 0 only where it sends none."""
     e = emitters.groups[group]
+    tree = emitters.tree
     if e < 0:
-        return tree_estimate(emitters.tree, px, py, pz, nx, ny, nz)
+        return cut_estimate(tree.nodes, tree.two_sided, tree.cut, px, py, pz, nx, ny, nz)
     if emitters.kind[e] == WORLD:
         w = emitters.world.estimate
         return max(w[0] + w[1] * nx + w[2] * ny + w[3] * nz, _DEFENSIVE * w[0])
     if emitters.kind[e] == SUN:
-        axes, narrow = emitters.lamps.axes, emitters.lamps.one_minus_cos[e]
+        lamps = emitters.lamps
+        narrow = lamps[e, ONE_MINUS_COS]
         mean = (emitters.radiance[e, 0] + emitters.radiance[e, 1] + emitters.radiance[e, 2]) * _THIRD
         if narrow > _0:
             mean *= np.float32(math.pi) * narrow * (np.float32(2.0) - narrow)  # sin^2 of the half angle
         rise = np.float32(math.sqrt(max(_0, narrow * (np.float32(2.0) - narrow))))
-        return mean * max(_0, nx * axes[e, 2, 0] + ny * axes[e, 2, 1] + nz * axes[e, 2, 2] + rise)
-    return importance(emitters.tree, e, px, py, pz, nx, ny, nz)
+        return mean * max(_0, nx * lamps[e, AXIS_Z] + ny * lamps[e, AXIS_Z + 1] + nz * lamps[e, AXIS_Z + 2] + rise)
+    return importance(tree.nodes, tree.two_sided, e, px, py, pz, nx, ny, nz)
 
 
 @kernel
@@ -88,25 +90,26 @@ def deal(estimate, samples, offset, count, weight):
             weight[g] = _1 / np.float32(n + 1)
 
 
-@kernel
+@inlined
 def shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error, dx, dy, dz, t):
     """Ray from the surface at p to the light at distance t along d -> (origin, direction, end of the range)."""
     emitters = scene.emitters
     if emitters.kind[e] == TRIANGLE:
-        i = e - (emitters.kind.shape[0] - emitters.mesh.triangle.shape[0])
-        qx, qy, qz, nx, ny, nz, q_error = hit_point(scene.vertices, scene.triangles, emitters.mesh.triangle[i], u, v)
+        triangle = emitters.triangle[e - emitters.first_triangle]
+        qx, qy, qz, nx, ny, nz, q_error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
         ox, oy, oz, dx, dy, dz = shadow_segment(px, py, pz, gx, gy, gz, error, qx, qy, qz, nx, ny, nz, q_error)
         return ox, oy, oz, dx, dy, dz, _1
     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
     return ox, oy, oz, dx, dy, dz, t * _SHORT
 
 
-@kernel
+@inlined
 def _choose(emitters, e, px, py, pz, nx, ny, nz, u):
     """The emitter of a group, chosen from the tree where the group is one -> (emitter or -1, probability)."""
     if e >= 0:
         return e, _1
-    return descend(emitters.tree, px, py, pz, nx, ny, nz, u)
+    tree = emitters.tree
+    return descend(tree.nodes, tree.two_sided, tree.children, tree.root, px, py, pz, nx, ny, nz, u)
 
 
 @kernel
@@ -143,14 +146,16 @@ def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, g
     if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
         return _0, _0, _0
     w = cosine * total / (chosen_estimate * probability)
-    if emitters.cast_shadow[e]:
+    if emitters.flags[e] & CASTS_SHADOW:
         ox, oy, oz, dx, dy, dz, end = shadow_ray(scene, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t)
         if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, SHADOW):
             return _0, _0, _0
-        tr, tg, tb = transmittance1(
-            scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, SHADOW
-        )
-        r, g, b = r * tr, g * tg, b * tb
+        if emitters.cutouts:
+            tr, tg, tb = transmittance1(
+                scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface,
+                ox, oy, oz, dx, dy, dz, _0, end, SHADOW,
+            )  # fmt: skip
+            r, g, b = r * tr, g * tg, b * tb
     return w * r, w * g, w * b
 
 
@@ -168,10 +173,12 @@ def _trace_pending(scene, packet, rows, surface, pending, owner, n, out):
         if is_occluded(packet, lane):
             continue
         p = pending[lane]
-        tr, tg, tb = transmittance1(
-            scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface,
-            p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW,
-        )  # fmt: skip
+        tr = tg = tb = _1
+        if scene.emitters.cutouts:
+            tr, tg, tb = transmittance1(
+                scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface,
+                p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW,
+            )  # fmt: skip
         out[owner[lane], 0] += p[7] * tr
         out[owner[lane], 1] += p[8] * tg
         out[owner[lane], 2] += p[9] * tb
@@ -225,7 +232,7 @@ def _direct_chunk(scene, position, ns, ng, error, begin, end, samples, seed, fir
                     if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, gr, b) > _0:
                         continue
                     w = cosine * weight[k, g] / probability
-                    if not emitters.cast_shadow[e]:
+                    if not emitters.flags[e] & CASTS_SHADOW:
                         out[i, 0] += w * r
                         out[i, 1] += w * gr
                         out[i, 2] += w * b

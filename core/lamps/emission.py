@@ -10,14 +10,33 @@ import math
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import inlined, kernel
 from ..rays.offsets import hit_point, offset_origin
 from ..sampling.discrete import sample_cdf
 from ..sampling.maps import concentric_disk, cosine_hemisphere, to_world, uniform_cone, uniform_sphere, uniform_triangle
 from ..scene import AREA, SPOT, SUN
 from ..surfaces.layout import EMISSION
 from ..surfaces.program import evaluate
-from .tables import TRIANGLE, WORLD
+from .tables import (
+    AREA_M2,
+    AXIS_X,
+    AXIS_Y,
+    AXIS_Z,
+    COS_INNER,
+    COS_OUTER,
+    ELLIPTIC,
+    HALF_SPREAD,
+    NORMAL,
+    ONE_MINUS_COS,
+    POSITION,
+    RADIUS,
+    SIZE,
+    SOFT,
+    TAN_HALF_SPREAD,
+    TEXTURED,
+    TRIANGLE,
+    WORLD,
+)  # fmt: skip
 from .world import emit_world
 
 _0 = np.float32(0.0)
@@ -96,29 +115,29 @@ def _box_entry(box, dx, dy, dz, u1, u2):
 
 
 @kernel
-def _emit_point(lamps, i, spot, u1, u2, u3, u4):
+def _emit_point(lamps, i, spot, soft, u1, u2, u3, u4):
     """Point and spot lamps -> (origin, direction, distance before which the particle does not count).
 
     All lines of one direction pass a disk of the lamp's radius.  Of a sphere they start on its surface.  A soft
     lamp is a disk that faces the point it lights: a point at distance d from the lamp sees a line that passes the
     centre at distance h only if 1/h^2 > 1/r^2 + 1/d^2, so the line carries light from h^2 / sqrt(r^2 - h^2) on.
     """
-    ax, ay, az = -lamps.axes[i, 2, 0], -lamps.axes[i, 2, 1], -lamps.axes[i, 2, 2]
+    ax, ay, az = -lamps[i, AXIS_Z], -lamps[i, AXIS_Z + 1], -lamps[i, AXIS_Z + 2]
     if spot:
-        h = _spot_one_minus_cos(np.float64(lamps.cos_outer[i]), np.float64(lamps.cos_inner[i]), np.float64(u1))
+        h = _spot_one_minus_cos(np.float64(lamps[i, COS_OUTER]), np.float64(lamps[i, COS_INNER]), np.float64(u1))
         sine, phi = np.float32(math.sqrt(h * (2.0 - h))), _2PI * u2
         dx, dy, dz = to_world(sine * np.float32(math.cos(phi)), sine * np.float32(math.sin(phi)), np.float32(1.0 - h), ax, ay, az)
     else:
         dx, dy, dz = uniform_sphere(u1, u2)
-    x, y, z = lamps.position[i, 0], lamps.position[i, 1], lamps.position[i, 2]
+    x, y, z = lamps[i, POSITION], lamps[i, POSITION + 1], lamps[i, POSITION + 2]
     near = _0
-    radius = lamps.radius[i]
+    radius = lamps[i, RADIUS]
     if radius > _0:
         a, b = concentric_disk(u3, u4)
         rest = radius * np.float32(math.sqrt(max(np.float32(1e-12), _1 - a * a - b * b)))
         h2 = radius * radius * (a * a + b * b)
         forward = _0
-        if lamps.soft[i]:
+        if soft:
             near = h2 / rest
         else:
             forward = rest
@@ -128,31 +147,30 @@ def _emit_point(lamps, i, spot, u1, u2, u3, u4):
 
 
 @kernel
-def _emit_area(lamps, i, u1, u2, u3, u4):
+def _emit_area(lamps, i, ellipse, u1, u2, u3, u4):
     """Area lamps -> (origin, direction): uniform on the shape, cosine with the spread around the axis."""
-    if lamps.ellipse[i]:
+    if ellipse:
         a, b = concentric_disk(u1, u2)
         a, b = _HALF * a, _HALF * b
     else:
         a, b = u1 - _HALF, u2 - _HALF
-    a, b = a * lamps.size[i, 0], b * lamps.size[i, 1]
-    if lamps.tan_half_spread[i] == np.float32(np.inf):
+    a, b = a * lamps[i, SIZE], b * lamps[i, SIZE + 1]
+    if lamps[i, TAN_HALF_SPREAD] == np.float32(np.inf):
         lx, ly, lz = cosine_hemisphere(u3, u4)
     else:
-        theta = _spread_angle(np.float64(lamps.half_spread[i]), np.float64(u3))
+        theta = _spread_angle(np.float64(lamps[i, HALF_SPREAD]), np.float64(u3))
         s, lz, phi = np.float32(math.sin(theta)), np.float32(math.cos(theta)), _2PI * u4
         lx, ly = s * np.float32(math.cos(phi)), s * np.float32(math.sin(phi))
-    axes = lamps.axes[i]
-    x = lamps.position[i, 0] + a * axes[0, 0] + b * axes[1, 0]
-    y = lamps.position[i, 1] + a * axes[0, 1] + b * axes[1, 1]
-    z = lamps.position[i, 2] + a * axes[0, 2] + b * axes[1, 2]
-    dx = lx * axes[0, 0] + ly * axes[1, 0] - lz * axes[2, 0]
-    dy = lx * axes[0, 1] + ly * axes[1, 1] - lz * axes[2, 1]
-    dz = lx * axes[0, 2] + ly * axes[1, 2] - lz * axes[2, 2]
+    x = lamps[i, POSITION] + a * lamps[i, AXIS_X] + b * lamps[i, AXIS_Y]
+    y = lamps[i, POSITION + 1] + a * lamps[i, AXIS_X + 1] + b * lamps[i, AXIS_Y + 1]
+    z = lamps[i, POSITION + 2] + a * lamps[i, AXIS_X + 2] + b * lamps[i, AXIS_Y + 2]
+    dx = lx * lamps[i, AXIS_X] + ly * lamps[i, AXIS_Y] - lz * lamps[i, AXIS_Z]
+    dy = lx * lamps[i, AXIS_X + 1] + ly * lamps[i, AXIS_Y + 1] - lz * lamps[i, AXIS_Z + 1]
+    dz = lx * lamps[i, AXIS_X + 2] + ly * lamps[i, AXIS_Y + 2] - lz * lamps[i, AXIS_Z + 2]
     return x, y, z, dx, dy, dz
 
 
-@kernel
+@inlined
 def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
     """A particle from the emitters.
 
@@ -166,41 +184,42 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
     """
     if not emitters.emission_cdf[-1] > 0.0 or emitters.kind.shape[0] == 0:
         return -1, _0, _0, _0, _0, _0, _1, _0, _0, _0, _0
-    e, rest, probability = sample_cdf(emitters.emission_cdf, np.float64(u0))
+    e, _, probability = sample_cdf(emitters.emission_cdf, np.float64(u0))
     w = _1 / np.float32(probability)
     kind = emitters.kind[e]
     r, g, b = np.float32(emitters.flux[e, 0]), np.float32(emitters.flux[e, 1]), np.float32(emitters.flux[e, 2])
     near = _0
     if kind == TRIANGLE:
-        mesh = emitters.mesh
-        i = e - (emitters.kind.shape[0] - mesh.triangle.shape[0])
+        i = e - emitters.first_triangle
+        shapes = emitters.shapes
         u, v = uniform_triangle(u1, u2)
         front = u3 < _HALF
         lx, ly, lz = cosine_hemisphere(u3 * _2 if front else u3 * _2 - _1, u4)
         side = _1 if front else -_1
-        nx, ny, nz = side * mesh.normal[i, 0], side * mesh.normal[i, 1], side * mesh.normal[i, 2]
+        nx, ny, nz = side * shapes[i, NORMAL], side * shapes[i, NORMAL + 1], side * shapes[i, NORMAL + 2]
         dx, dy, dz = to_world(lx, ly, lz, nx, ny, nz)
-        x, y, z, nx, ny, nz, error = hit_point(emitters.vertices, emitters.triangles, mesh.triangle[i], u, v)
+        x, y, z, nx, ny, nz, error = hit_point(emitters.vertices, emitters.triangles, emitters.triangle[i], u, v)
         x, y, z = offset_origin(x, y, z, nx, ny, nz, error, dx, dy, dz)
-        if mesh.textured[i]:
-            evaluate(emitters.materials, mesh.material[i], emitters.attributes, mesh.triangle[i], u, v, side * lz, rows, surface)
-            k = _2PI * mesh.area[i]
+        if emitters.flags[e] & TEXTURED:
+            triangle, material = emitters.triangle[i], emitters.material[i]
+            evaluate(emitters.materials, material, emitters.attributes, triangle, u, v, side * lz, rows, surface)
+            k = _2PI * shapes[i, AREA_M2]
             r, g, b = k * surface[EMISSION], k * surface[EMISSION + 1], k * surface[EMISSION + 2]
     elif kind == WORLD or kind == SUN:
         if kind == WORLD:
             dx, dy, dz, r, g, b = emit_world(emitters.world, u1, u2)
         else:
-            narrow = emitters.lamps.one_minus_cos[e]
+            lamps = emitters.lamps
+            narrow = lamps[e, ONE_MINUS_COS]
             lx, ly, lz = uniform_cone(u1, u2, narrow)
-            axes = emitters.lamps.axes
-            dx, dy, dz = to_world(lx, ly, lz, axes[e, 2, 0], axes[e, 2, 1], axes[e, 2, 2])
+            dx, dy, dz = to_world(lx, ly, lz, lamps[e, AXIS_Z], lamps[e, AXIS_Z + 1], lamps[e, AXIS_Z + 2])
             k = _2PI * narrow if narrow > _0 else _1
             r, g, b = k * emitters.radiance[e, 0], k * emitters.radiance[e, 1], k * emitters.radiance[e, 2]
         dx, dy, dz = -dx, -dy, -dz
         x, y, z, area = _box_entry(emitters.box, dx, dy, dz, u3, u4)
         w *= area
     elif kind == AREA:
-        x, y, z, dx, dy, dz = _emit_area(emitters.lamps, e, u1, u2, u3, u4)
+        x, y, z, dx, dy, dz = _emit_area(emitters.lamps, e, emitters.flags[e] & ELLIPTIC, u1, u2, u3, u4)
     else:
-        x, y, z, dx, dy, dz, near = _emit_point(emitters.lamps, e, kind == SPOT, u1, u2, u3, u4)
+        x, y, z, dx, dy, dz, near = _emit_point(emitters.lamps, e, kind == SPOT, emitters.flags[e] & SOFT, u1, u2, u3, u4)
     return e, x, y, z, dx, dy, dz, r * w, g * w, b * w, near

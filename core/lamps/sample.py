@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import inlined
 from ..scene import AREA, SUN
 from ..surfaces.layout import EMISSION
 from ..surfaces.program import evaluate
 from .shapes import sample_area, sample_mesh_triangle, sample_point, sample_sun
-from .tables import TRIANGLE, WORLD
+from .tables import ELLIPTIC, NORMAL, SOFT, TEXTURED, TRIANGLE, WORLD
 from .world import sample_world
 
 _INFINITY = np.float32(np.inf)
 
 
-@kernel
+@inlined
 def sample_emitter(emitters, e, px, py, pz, nx, ny, nz, u1, u2, rows, surface):
     """One sample of emitter e for a surface at p with shading normal n.
 
@@ -31,11 +31,12 @@ def sample_emitter(emitters, e, px, py, pz, nx, ny, nz, u1, u2, rows, surface):
     t = _INFINITY
     u = v = np.float32(0.0)
     if kind == TRIANGLE:
-        i = e - (emitters.kind.shape[0] - emitters.mesh.triangle.shape[0])
-        dx, dy, dz, t, w, u, v = sample_mesh_triangle(emitters.mesh, i, px, py, pz, u1, u2)
-        if emitters.mesh.textured[i]:
-            side = -(dx * emitters.mesh.normal[i, 0] + dy * emitters.mesh.normal[i, 1] + dz * emitters.mesh.normal[i, 2])
-            triangle, material = emitters.mesh.triangle[i], emitters.mesh.material[i]
+        i = e - emitters.first_triangle
+        shapes = emitters.shapes
+        dx, dy, dz, t, w, u, v = sample_mesh_triangle(shapes, i, px, py, pz, u1, u2)
+        if emitters.flags[e] & TEXTURED and w > 0:
+            side = -(dx * shapes[i, NORMAL] + dy * shapes[i, NORMAL + 1] + dz * shapes[i, NORMAL + 2])
+            triangle, material = emitters.triangle[i], emitters.material[i]
             evaluate(emitters.materials, material, emitters.attributes, triangle, u, v, side, rows, surface)
             r, g, b = surface[EMISSION], surface[EMISSION + 1], surface[EMISSION + 2]
     elif kind == WORLD:
@@ -44,7 +45,7 @@ def sample_emitter(emitters, e, px, py, pz, nx, ny, nz, u1, u2, rows, surface):
     elif kind == SUN:
         dx, dy, dz, w = sample_sun(emitters.lamps, e, u1, u2)
     elif kind == AREA:
-        dx, dy, dz, t, w = sample_area(emitters.lamps, e, px, py, pz, u1, u2)
+        dx, dy, dz, t, w = sample_area(emitters.lamps, e, emitters.flags[e] & ELLIPTIC, px, py, pz, u1, u2)
     else:
-        dx, dy, dz, t, w = sample_point(emitters.lamps, e, px, py, pz, nx, ny, nz, u1, u2)
+        dx, dy, dz, t, w = sample_point(emitters.lamps, e, emitters.flags[e] & SOFT, px, py, pz, nx, ny, nz, u1, u2)
     return dx, dy, dz, t, r * w, g * w, b * w, u, v

@@ -13,6 +13,21 @@ import numpy as np
 from ..jit import inlined, kernel
 from ..sampling.maps import concentric_disk, cosine_hemisphere, to_world, uniform_cone, uniform_triangle
 from .solid_angle import sample_rectangle, sample_triangle
+from .tables import (
+    AREA_M2,
+    AXIS_X,
+    AXIS_Y,
+    AXIS_Z,
+    CORNERS,
+    COS_INNER,
+    COS_OUTER,
+    NORMAL,
+    ONE_MINUS_COS,
+    POSITION,
+    RADIUS,
+    SIZE,
+    TAN_HALF_SPREAD,
+)  # fmt: skip
 
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -42,7 +57,7 @@ def smoothstep(x):
 @inlined
 def spot_attenuation(lamps, i, cosine):
     """Share of a spot's axial intensity at an angle off its axis (1 for a point lamp)."""
-    outer, inner = lamps.cos_outer[i], lamps.cos_inner[i]
+    outer, inner = lamps[i, COS_OUTER], lamps[i, COS_INNER]
     if cosine >= inner:
         return _1
     if cosine <= outer:
@@ -53,22 +68,22 @@ def spot_attenuation(lamps, i, cosine):
 @inlined
 def spread_attenuation(lamps, i, tangent):
     """Share of an area lamp's axial radiance at an angle off its axis, given as the tangent."""
-    limit = lamps.tan_half_spread[i]
+    limit = lamps[i, TAN_HALF_SPREAD]
     if limit == _INFINITY:
         return _1
     return max(_0, _1 - tangent / limit)
 
 
 @kernel
-def sample_point(lamps, i, px, py, pz, nx, ny, nz, u1, u2):
+def sample_point(lamps, i, soft, px, py, pz, nx, ny, nz, u1, u2):
     """Point and spot lamps -> (d, distance, radiance factor / density).
 
     A sphere is sampled uniformly in the cone that it fills (Shirley et al. 1996).  A soft lamp is a disk that faces
     the shading point: it fills a cone as well, which needs no area density as in Cycles.
     """
-    vx, vy, vz = lamps.position[i, 0] - px, lamps.position[i, 1] - py, lamps.position[i, 2] - pz
+    vx, vy, vz = lamps[i, POSITION] - px, lamps[i, POSITION + 1] - py, lamps[i, POSITION + 2] - pz
     d2 = vx * vx + vy * vy + vz * vz
-    r = lamps.radius[i]
+    r = lamps[i, RADIUS]
     if d2 < _TINY:
         return _0, _0, _1, _0, _0
     d = np.float32(math.sqrt(d2))
@@ -76,7 +91,7 @@ def sample_point(lamps, i, px, py, pz, nx, ny, nz, u1, u2):
     if r == _0:
         dx, dy, dz, t = vx, vy, vz, d
         weight = _1 / d2
-    elif lamps.soft[i]:
+    elif soft:
         sin2 = r * r / (d2 + r * r)
         cone = one_minus_cos(sin2)
         lx, ly, lz = uniform_cone(u1, u2, cone)
@@ -95,34 +110,34 @@ def sample_point(lamps, i, px, py, pz, nx, ny, nz, u1, u2):
         along = dx * vx + dy * vy + dz * vz
         t = d * along + np.float32(math.sqrt(max(_0, r * r - d2 * (_1 - along * along))))
         return dx, dy, dz, t, _PI / max(lz, np.float32(1e-6))
-    cosine = lamps.axes[i, 2, 0] * dx + lamps.axes[i, 2, 1] * dy + lamps.axes[i, 2, 2] * dz
+    cosine = lamps[i, AXIS_Z] * dx + lamps[i, AXIS_Z + 1] * dy + lamps[i, AXIS_Z + 2] * dz
     return dx, dy, dz, t, weight * spot_attenuation(lamps, i, cosine)
 
 
 @kernel
 def sample_sun(lamps, i, u1, u2):
     """Sun -> (d, radiance factor / density); of a sun without size the factor is that of its irradiance."""
-    lx, ly, lz = uniform_cone(u1, u2, lamps.one_minus_cos[i])
-    ax, ay, az = lamps.axes[i, 2, 0], lamps.axes[i, 2, 1], lamps.axes[i, 2, 2]
+    lx, ly, lz = uniform_cone(u1, u2, lamps[i, ONE_MINUS_COS])
+    ax, ay, az = lamps[i, AXIS_Z], lamps[i, AXIS_Z + 1], lamps[i, AXIS_Z + 2]
     dx, dy, dz = to_world(lx, ly, lz, ax, ay, az)
-    return dx, dy, dz, _2PI * lamps.one_minus_cos[i] if lamps.one_minus_cos[i] > _0 else _1
+    return dx, dy, dz, _2PI * lamps[i, ONE_MINUS_COS] if lamps[i, ONE_MINUS_COS] > _0 else _1
 
 
 @kernel
-def sample_area(lamps, i, px, py, pz, u1, u2):
+def sample_area(lamps, i, ellipse, px, py, pz, u1, u2):
     """Area lamps -> (d, distance, radiance factor / density).
 
     Only the part of the lamp whose spread reaches the point is sampled.  Rectangles: uniform in solid angle.
     Ellipses: uniform in area where the lamp is far, else the rectangle around them with rejected corners.
     """
-    vx, vy, vz = px - lamps.position[i, 0], py - lamps.position[i, 1], pz - lamps.position[i, 2]
-    x = vx * lamps.axes[i, 0, 0] + vy * lamps.axes[i, 0, 1] + vz * lamps.axes[i, 0, 2]
-    y = vx * lamps.axes[i, 1, 0] + vy * lamps.axes[i, 1, 1] + vz * lamps.axes[i, 1, 2]
-    height = -(vx * lamps.axes[i, 2, 0] + vy * lamps.axes[i, 2, 1] + vz * lamps.axes[i, 2, 2])
+    vx, vy, vz = px - lamps[i, POSITION], py - lamps[i, POSITION + 1], pz - lamps[i, POSITION + 2]
+    x = vx * lamps[i, AXIS_X] + vy * lamps[i, AXIS_X + 1] + vz * lamps[i, AXIS_X + 2]
+    y = vx * lamps[i, AXIS_Y] + vy * lamps[i, AXIS_Y + 1] + vz * lamps[i, AXIS_Y + 2]
+    height = -(vx * lamps[i, AXIS_Z] + vy * lamps[i, AXIS_Z + 1] + vz * lamps[i, AXIS_Z + 2])
     if not height > _0:
         return _0, _0, _1, _0, _0
-    half_x, half_y = _HALF * lamps.size[i, 0], _HALF * lamps.size[i, 1]
-    reach = height * lamps.tan_half_spread[i]
+    half_x, half_y = _HALF * lamps[i, SIZE], _HALF * lamps[i, SIZE + 1]
+    reach = height * lamps[i, TAN_HALF_SPREAD]
     x0, x1 = max(-half_x, x - reach), min(half_x, x + reach)
     y0, y1 = max(-half_y, y - reach), min(half_y, y + reach)
     if not (x0 < x1 and y0 < y1):
@@ -131,7 +146,7 @@ def sample_area(lamps, i, px, py, pz, u1, u2):
     longer = max(half_x, half_y)
     beside = max(_0, np.float32(math.sqrt(x * x + y * y)) - longer)
     far = beside * beside + height * height > _HALF * longer * longer
-    if lamps.ellipse[i] and far and reach > _2 * (half_x + half_y + abs(x) + abs(y)):
+    if ellipse and far and reach > _2 * (half_x + half_y + abs(x) + abs(y)):
         a, b = concentric_disk(u1, u2)
         sx, sy = a * half_x - x, b * half_y - y
         r2 = sx * sx + sy * sy + height * height
@@ -139,26 +154,26 @@ def sample_area(lamps, i, px, py, pz, u1, u2):
     else:
         qx, qy, angle = sample_rectangle(x0 - x, x1 - x, y0 - y, y1 - y, height, u1, u2)
         sx, sy, weight = np.float32(qx), np.float32(qy), np.float32(angle)
-        if lamps.ellipse[i] and ((sx + x) / half_x) ** 2 + ((sy + y) / half_y) ** 2 > _1:
+        if ellipse and ((sx + x) / half_x) ** 2 + ((sy + y) / half_y) ** 2 > _1:
             weight = _0
         r2 = sx * sx + sy * sy + height * height
     t = np.float32(math.sqrt(r2))
     weight *= spread_attenuation(lamps, i, np.float32(math.sqrt(sx * sx + sy * sy)) / height)
     sx, sy, sz = sx / t, sy / t, height / t
-    dx = sx * lamps.axes[i, 0, 0] + sy * lamps.axes[i, 1, 0] + sz * lamps.axes[i, 2, 0]
-    dy = sx * lamps.axes[i, 0, 1] + sy * lamps.axes[i, 1, 1] + sz * lamps.axes[i, 2, 1]
-    dz = sx * lamps.axes[i, 0, 2] + sy * lamps.axes[i, 1, 2] + sz * lamps.axes[i, 2, 2]
+    dx = sx * lamps[i, AXIS_X] + sy * lamps[i, AXIS_Y] + sz * lamps[i, AXIS_Z]
+    dy = sx * lamps[i, AXIS_X + 1] + sy * lamps[i, AXIS_Y + 1] + sz * lamps[i, AXIS_Z + 1]
+    dz = sx * lamps[i, AXIS_X + 2] + sy * lamps[i, AXIS_Y + 2] + sz * lamps[i, AXIS_Z + 2]
     return dx, dy, dz, t, weight
 
 
 @kernel
-def sample_mesh_triangle(mesh, i, px, py, pz, u1, u2):
+def sample_mesh_triangle(shapes, i, px, py, pz, u1, u2):
     """Emissive triangles -> (d, distance, 1 / density, u, v): uniform in solid angle near by, in area far away."""
-    c = mesh.corners[i]
-    ax, ay, az = c[0, 0] - px, c[0, 1] - py, c[0, 2] - pz
-    ex, ey, ez = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
-    fx, fy, fz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
-    nx, ny, nz = mesh.normal[i, 0], mesh.normal[i, 1], mesh.normal[i, 2]
+    c = CORNERS
+    ax, ay, az = shapes[i, c] - px, shapes[i, c + 1] - py, shapes[i, c + 2] - pz
+    ex, ey, ez = shapes[i, c + 3] - shapes[i, c], shapes[i, c + 4] - shapes[i, c + 1], shapes[i, c + 5] - shapes[i, c + 2]
+    fx, fy, fz = shapes[i, c + 6] - shapes[i, c], shapes[i, c + 7] - shapes[i, c + 1], shapes[i, c + 8] - shapes[i, c + 2]
+    nx, ny, nz = shapes[i, NORMAL], shapes[i, NORMAL + 1], shapes[i, NORMAL + 2]
     third = np.float32(1 / 3)
     mx, my, mz = ax + third * (ex + fx), ay + third * (ey + fy), az + third * (ez + fz)
     longest = max(ex * ex + ey * ey + ez * ez, fx * fx + fy * fy + fz * fz, (fx - ex) ** 2 + (fy - ey) ** 2 + (fz - ez) ** 2)
@@ -187,4 +202,4 @@ def sample_mesh_triangle(mesh, i, px, py, pz, u1, u2):
         return _0, _0, _1, _0, _0, u, v
     t = np.float32(math.sqrt(r2))
     dx, dy, dz = dx / t, dy / t, dz / t
-    return dx, dy, dz, t, mesh.area[i] * abs(dx * nx + dy * ny + dz * nz) / r2, u, v
+    return dx, dy, dz, t, shapes[i, AREA_M2] * abs(dx * nx + dy * ny + dz * nz) / r2, u, v

@@ -15,44 +15,23 @@ from ..scene import MaterialTables
 # `Emitters.kind` goes on where the kinds of `scene.Lamps` end (POINT, SPOT, SUN, AREA = 0..3).
 WORLD, TRIANGLE = 4, 5
 
+# Bits of `Emitters.flags`: casts shadows; a disk that faces the point it lights instead of a sphere; an ellipse
+# instead of a rectangle; a triangle whose radiance varies.
+CASTS_SHADOW, SOFT, ELLIPTIC, TEXTURED = 1, 2, 4, 8
 
-class LampTable(NamedTuple):
-    """A analytic lamps (the world has no row here).
+# Columns of `Emitters.lamps`: xyz of position (m) and of the unit axes, shining along -z; radius (m); cosines where a
+# spot's smooth edge begins and where it is full; 1 - cos of a sun's half angle; full widths (m), half spread (rad) and
+# its tangent (inf for none) of an area lamp.
+POSITION, AXIS_X, AXIS_Y, AXIS_Z, RADIUS, COS_OUTER, COS_INNER, ONE_MINUS_COS, SIZE, HALF_SPREAD, TAN_HALF_SPREAD, LAMP = (
+    0, 3, 6, 9, 12, 13, 14, 15, 16, 18, 19, 20,
+)  # fmt: skip
 
-    source: (A,) int32, index in `Scene.lamps`.  position: (A, 3).  axes: (A, 3, 3), rows x, y, z; shining along -z.
-    radius: (A,) m.  soft: (A,) uint8, a disk that faces the point it lights instead of a sphere.
-    cos_outer, cos_inner: (A,) where a spot's smooth edge begins and where it is full.
-    one_minus_cos: (A,) of a sun's half angle.  size: (A, 2) full widths.  ellipse: (A,) uint8.
-    half_spread: (A,) rad;  tan_half_spread: (A,), inf for none.
-    """
+# Columns of `Emitters.shapes`: xyz of a triangle's corners (m) and unit normal, area (m^2).
+CORNERS, NORMAL, AREA_M2, SHAPE = 0, 9, 12, 13
 
-    source: np.ndarray
-    position: np.ndarray
-    axes: np.ndarray
-    radius: np.ndarray
-    soft: np.ndarray
-    cos_outer: np.ndarray
-    cos_inner: np.ndarray
-    one_minus_cos: np.ndarray
-    size: np.ndarray
-    ellipse: np.ndarray
-    half_spread: np.ndarray
-    tan_half_spread: np.ndarray
-
-
-class MeshTable(NamedTuple):
-    """M emissive triangles, which shine from both sides.
-
-    triangle: (M,) int32 into `Geometry.triangles`.  corners: (M, 3, 3).  normal: (M, 3) unit.  area: (M,) m^2.
-    material: (M,) int32.  textured: (M,) uint8, radiance varies and is evaluated at each sample.
-    """
-
-    triangle: np.ndarray
-    corners: np.ndarray
-    normal: np.ndarray
-    area: np.ndarray
-    material: np.ndarray
-    textured: np.ndarray
+# Columns of `LightTree.nodes`: box, unit axis and cosine of the cone of the directions in which the emitters face,
+# cosine of how far from these they shine, radiant intensity along the axis (mean of the channels).
+LOWER, UPPER, AXIS, COS_O, COS_E, ENERGY, NODE = 0, 3, 6, 9, 10, 11, 12
 
 
 class WorldTable(NamedTuple):
@@ -76,22 +55,14 @@ class WorldTable(NamedTuple):
 class LightTree(NamedTuple):
     """Bounds of emitters, and a binary tree over many of them (Conty Estevez & Kulla 2018).
 
-    Node i < E is emitter i alone; interior nodes follow.  lower, upper: (K, 3) box.  axis: (K, 3), cos_o: (K,), cone
-    of the directions in which the emitters face;  cos_e: (K,) how far from these they shine.  energy: (K,) radiant
-    intensity along the axis, mean of the channels.  two_sided: (K,) uint8, the axis stands for both directions.
-    left, right: (K - E,) int32 children of node E + j.  cut: a few nodes that hold the whole tree between them.
-    root: int, -1 for no tree.
+    Node i < E is emitter i alone; interior nodes follow.  nodes: (K, NODE) float32.  two_sided: (K,) uint8, the axis
+    stands for both directions.  children: (K - E, 2) int32 of node E + j.  cut: a few nodes that hold the whole tree
+    between them.  root: int, -1 for no tree.
     """
 
-    lower: np.ndarray
-    upper: np.ndarray
-    axis: np.ndarray
-    cos_o: np.ndarray
-    cos_e: np.ndarray
-    energy: np.ndarray
+    nodes: np.ndarray
     two_sided: np.ndarray
-    left: np.ndarray
-    right: np.ndarray
+    children: np.ndarray
     cut: np.ndarray
     root: int
 
@@ -99,26 +70,38 @@ class LightTree(NamedTuple):
 class Emitters(NamedTuple):
     """All E emitters of a scene (for one kind of receiving ray), ready for kernels.
 
-    kind: (E,) int32.  radiance: (E, 3), W/m^2/sr: of a lamp's surface (on the axis of a spot or area lamp), of a
-        sun's disk, mean of a triangle or the world; of a point of no size the radiant intensity, W/sr, and of a sun
-        of no size the irradiance, W/m^2.
+    Few arrays with columns: kernels hand them on from function to function, and each array costs.
+
+    kind, flags: (E,) int32.  source: (A,) int32, index in `Scene.lamps` of the first A emitters.
+    radiance: (E, 3), W/m^2/sr: of a lamp's surface (on the axis of a spot or area lamp), of a sun's disk, mean of a
+        triangle or the world; of a point of no size the radiant intensity, W/sr, and of a sun of no size the
+        irradiance, W/m^2.
     flux: (E, 3) float64, W leaving, or entering the scene's box for sun and world.
-    cast_shadow: (E,) uint8.  groups: (G,) int32, emitters that direct light samples one by one; -1 is the tree.
+    lamps: (A, LAMP) float32.
+    first_triangle: E - M, the emitter that is triangle 0 of M.  shapes: (M, SHAPE) float32.
+    triangle, material: (M,) int32 into the scene's tables.
+    groups: (G,) int32, emitters that direct light samples one by one; -1 is the tree.
     emission_cdf: (E + 1,) float64, by flux.  box: (2, 3), corners of the scene's bounding box.
-    vertices, triangles: the scene's geometry.  attributes, materials: what textured triangles are evaluated with.
+    cutouts: whether anything in the scene lets light through.
+    vertices, triangles, attributes, materials: of the scene, for triangles.
     """
 
     kind: np.ndarray
+    flags: np.ndarray
+    source: np.ndarray
     radiance: np.ndarray
     flux: np.ndarray
-    cast_shadow: np.ndarray
-    lamps: LampTable
+    lamps: np.ndarray
+    first_triangle: int
+    shapes: np.ndarray
+    triangle: np.ndarray
+    material: np.ndarray
     world: WorldTable
-    mesh: MeshTable
     tree: LightTree
     groups: np.ndarray
     emission_cdf: np.ndarray
     box: np.ndarray
+    cutouts: bool
     vertices: np.ndarray
     triangles: np.ndarray
     attributes: np.ndarray

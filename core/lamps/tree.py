@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from ..jit import inlined, kernel
+from .tables import AXIS, COS_E, COS_O, ENERGY, LOWER, UPPER
 
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -27,40 +28,40 @@ def _cos_less(cos_a, cos_b):
 
 
 @kernel
-def importance(tree, node, px, py, pz, nx, ny, nz):
+def importance(nodes, two_sided, node, px, py, pz, nx, ny, nz):
     """Estimate of the irradiance (mean of the channels) that a node can send to p with normal n; 0 if it cannot."""
-    lx, ly, lz = tree.lower[node, 0], tree.lower[node, 1], tree.lower[node, 2]
-    ux, uy, uz = tree.upper[node, 0], tree.upper[node, 1], tree.upper[node, 2]
+    lx, ly, lz = nodes[node, LOWER], nodes[node, LOWER + 1], nodes[node, LOWER + 2]
+    ux, uy, uz = nodes[node, UPPER], nodes[node, UPPER + 1], nodes[node, UPPER + 2]
     vx, vy, vz = _HALF * (lx + ux) - px, _HALF * (ly + uy) - py, _HALF * (lz + uz) - pz
     r2 = np.float32(0.25) * ((ux - lx) ** 2 + (uy - ly) ** 2 + (uz - lz) ** 2)
     d2 = vx * vx + vy * vy + vz * vz
     if d2 <= r2 * np.float32(1.0001):  # within the bounding sphere anything is possible
-        return tree.energy[node] / max(r2, np.float32(1e-12))
-    d = np.float32(math.sqrt(d2))
+        return nodes[node, ENERGY] / max(r2, np.float32(1e-12))
+    inverse = _1 / np.float32(math.sqrt(d2))
     cos_u = np.float32(math.sqrt(_1 - r2 / d2))
-    cos_i = _cos_less((vx * nx + vy * ny + vz * nz) / d, cos_u)
+    cos_i = _cos_less((vx * nx + vy * ny + vz * nz) * inverse, cos_u)
     if cos_i <= _0:
         return _0
-    cosine = -(vx * tree.axis[node, 0] + vy * tree.axis[node, 1] + vz * tree.axis[node, 2]) / d
-    if tree.two_sided[node]:
+    cosine = -(vx * nodes[node, AXIS] + vy * nodes[node, AXIS + 1] + vz * nodes[node, AXIS + 2]) * inverse
+    if two_sided[node]:
         cosine = abs(cosine)
-    cosine = _cos_less(_cos_less(cosine, tree.cos_o[node]), cos_u)
+    cosine = _cos_less(_cos_less(cosine, nodes[node, COS_O]), cos_u)
     # A little slack: the cone's edge must not fall to rounding.
-    if cosine < tree.cos_e[node] - np.float32(1e-4):
+    if cosine < nodes[node, COS_E] - np.float32(1e-4):
         return _0
-    return tree.energy[node] * cos_i * max(cosine, np.float32(1e-3)) / d2
+    return nodes[node, ENERGY] * cos_i * max(cosine, np.float32(1e-3)) / d2
 
 
 @kernel
-def descend(tree, px, py, pz, nx, ny, nz, u):
+def descend(nodes, two_sided, children, root, px, py, pz, nx, ny, nz, u):
     """An emitter of the tree for p with normal n -> (emitter or -1, its probability); u in [0, 1)."""
-    n = tree.energy.shape[0] - tree.left.shape[0]
-    node = tree.root
+    n = nodes.shape[0] - children.shape[0]
+    node = root
     probability = _1
     while node >= n:
-        left, right = tree.left[node - n], tree.right[node - n]
-        a = importance(tree, left, px, py, pz, nx, ny, nz)
-        b = importance(tree, right, px, py, pz, nx, ny, nz)
+        left, right = children[node - n, 0], children[node - n, 1]
+        a = importance(nodes, two_sided, left, px, py, pz, nx, ny, nz)
+        b = importance(nodes, two_sided, right, px, py, pz, nx, ny, nz)
         if not a + b > _0:
             return -1, _1
         share = a / (a + b)
@@ -77,9 +78,9 @@ def descend(tree, px, py, pz, nx, ny, nz, u):
 
 
 @kernel
-def tree_estimate(tree, px, py, pz, nx, ny, nz):
+def cut_estimate(nodes, two_sided, cut, px, py, pz, nx, ny, nz):
     """Estimate of the irradiance that the whole tree can send, from a cut through it; 0 if it cannot."""
     total = _0
-    for k in range(tree.cut.shape[0]):
-        total += importance(tree, tree.cut[k], px, py, pz, nx, ny, nz)
+    for k in range(cut.shape[0]):
+        total += importance(nodes, two_sided, cut[k], px, py, pz, nx, ny, nz)
     return total

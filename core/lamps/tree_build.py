@@ -10,10 +10,10 @@ import math
 import numpy as np
 
 from ..jit import kernel
-from .tables import LightTree
+from .tables import AXIS, COS_E, COS_O, ENERGY, LOWER, NODE, UPPER, LightTree
 
-# Columns of a row of bounds, float64.
-LOWER, UPPER, AXIS, COS_O, COS_E, ENERGY, TWO_SIDED, COLUMNS = 0, 3, 6, 9, 10, 11, 12, 13
+# Rows of bounds, float64: the columns of `LightTree.nodes` and one more.
+TWO_SIDED, COLUMNS = NODE, NODE + 1
 
 _BINS = 12
 _CUT = 16
@@ -135,31 +135,26 @@ def _split(bounds, order, begin, end):
 
 
 @kernel(fast=False)
-def _build(bounds, n, order, left, right):
+def _build(bounds, n, order, children):
     """Interior nodes n, n + 1, ... over the emitters `order`; fills their rows of `bounds` and their children."""
     stack = [(0, len(order), -1, 0)]
     n_nodes = 0
-    parent = np.full(len(left), -1, np.int64)
     while len(stack) > 0:
         begin, end, above, side = stack.pop()
         if end - begin == 1:
             node = order[begin]
         else:
             node = n + n_nodes
-            parent[n_nodes] = above
             n_nodes += 1
             border = _split(bounds, order, begin, end)
             stack.append((border, end, node, 1))
             stack.append((begin, border, node, 0))
         if above >= 0:
-            if side == 0:
-                left[above - n] = node
-            else:
-                right[above - n] = node
+            children[above - n, side] = node
     for k in range(n_nodes - 1, -1, -1):  # children come after their parents
         bounds[n + k] = 0.0
-        merge(bounds[n + k], bounds[left[k]])
-        merge(bounds[n + k], bounds[right[k]])
+        merge(bounds[n + k], bounds[children[k, 0]])
+        merge(bounds[n + k], bounds[children[k, 1]])
 
 
 def light_tree(bounds: np.ndarray, members: np.ndarray) -> LightTree:
@@ -171,9 +166,9 @@ def light_tree(bounds: np.ndarray, members: np.ndarray) -> LightTree:
     n, m = len(bounds), len(members)
     inner = max(m - 1, 0)
     rows = np.concatenate([bounds, np.zeros((inner, COLUMNS))])
-    left, right = np.zeros((2, inner), np.int32)
+    children = np.zeros((inner, 2), np.int32)
     if inner:
-        _build(rows, n, np.array(members, np.int64), left, right)
+        _build(rows, n, np.array(members, np.int64), children)
     root = -1 if m == 0 else int(members[0]) if m == 1 else n
     cut = [root] if m else []
     while cut and len(cut) < _CUT:
@@ -182,19 +177,10 @@ def light_tree(bounds: np.ndarray, members: np.ndarray) -> LightTree:
             break
         widest = max(inside, key=lambda k: rows[k, ENERGY] * np.sum((rows[k, UPPER : UPPER + 3] - rows[k, :3]) ** 2))
         cut.remove(widest)
-        cut += [int(left[widest - n]), int(right[widest - n])]
+        cut += children[widest - n].tolist()
+    nodes = rows[:, :NODE].astype(np.float32)
     # Boxes grow by a rounding error, so that float32 bounds still hold float64 ones.
-    f = np.float32
-    return LightTree(
-        lower=np.nextafter(rows[:, LOWER : LOWER + 3].astype(f), f(-np.inf)),
-        upper=np.nextafter(rows[:, UPPER : UPPER + 3].astype(f), f(np.inf)),
-        axis=rows[:, AXIS : AXIS + 3].astype(f),
-        cos_o=rows[:, COS_O].astype(f),
-        cos_e=rows[:, COS_E].astype(f),
-        energy=rows[:, ENERGY].astype(f),
-        two_sided=(rows[:, TWO_SIDED] > 0).astype(np.uint8),
-        left=left,
-        right=right,
-        cut=np.array(cut, np.int32),
-        root=root,
-    )
+    nodes[:, LOWER : LOWER + 3] = np.nextafter(nodes[:, LOWER : LOWER + 3], np.float32(-np.inf))
+    nodes[:, UPPER : UPPER + 3] = np.nextafter(nodes[:, UPPER : UPPER + 3], np.float32(np.inf))
+    two_sided = (rows[:, TWO_SIDED] > 0).astype(np.uint8)
+    return LightTree(nodes, two_sided, children, np.array(cut, np.int32), root)
