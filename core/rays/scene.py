@@ -70,7 +70,7 @@ class Hits(NamedTuple):
     """Nearest hits of N rays.
 
     triangle: (N,) int32, -1 for none.  t: (N,) float32 in units of the direction's length.
-    u, v: (N,) float32, weights of corners 1 and 2.
+    u, v: (N,) float32, weights of corners 1 and 2; 0 where there is none.
     """
 
     triangle: np.ndarray
@@ -92,8 +92,9 @@ def _intersect_chunk(tables, which, origins, directions, t_max, mask, triangle, 
         for lane in range(count):
             triangle[begin + lane] = pk.hit_triangle(packet, lane)
             t[begin + lane] = pk.hit_t(packet, lane)
-            u[begin + lane] = pk.hit_u(packet, lane)
-            v[begin + lane] = pk.hit_v(packet, lane)
+            found = pk.hit_triangle(packet, lane) >= 0
+            u[begin + lane] = pk.hit_u(packet, lane) if found else np.float32(0.0)
+            v[begin + lane] = pk.hit_v(packet, lane) if found else np.float32(0.0)
 
 
 @kernel
