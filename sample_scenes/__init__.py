@@ -8,6 +8,7 @@ DESCRIPTIONS = {
     "cornell": "The Cornell box with its measured dimensions and reflectances: two blocks, one lamp.",
     "atrium": "A two-storey colonnade round a court under sun and open sky: arches, curtains, palms.",
     "corridor": "A dark corridor between six rooms, three of them lit: all its light comes through doors ajar.",
+    "cathedral": "A Gothic nave with rib vaults: sun and sky through coloured glass onto a polished floor.",
     "furnace": "A closed sphere of one albedo and one emission, whose light is known in closed form.",
 }
 NAMES: tuple[str, ...] = tuple(DESCRIPTIONS)

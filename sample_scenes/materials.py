@@ -89,3 +89,21 @@ def emitter(name: str, colour: Sequence[float], strength: float) -> Surface:
     shader.inputs["Strength"].default_value = strength
     tree.links.new(shader.outputs[0], output.inputs["Surface"])
     return Surface(material)
+
+
+def coloured_glass(name: str, transmittance: np.ndarray, tile: float = 1.0) -> Surface:
+    """A thin pane (no thickness, no refraction) that tints the light that goes straight through; pixels (H, W, 3) as `principled`."""
+    material, tree, output = _new(name)
+    mix = tree.nodes.new("ShaderNodeMixShader")
+    through = tree.nodes.new("ShaderNodeBsdfTransparent")
+    shader = tree.nodes.new("ShaderNodeBsdfPrincipled")
+    texture = tree.nodes.new("ShaderNodeTexImage")
+    texture.image = image(name, transmittance)
+    mix.inputs[0].default_value = 0.06
+    shader.inputs["Roughness"].default_value = 0.15
+    for target in (through.inputs["Color"], shader.inputs["Base Color"]):
+        tree.links.new(texture.outputs["Color"], target)
+    tree.links.new(through.outputs[0], mix.inputs[1])
+    tree.links.new(shader.outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], output.inputs["Surface"])
+    return Surface(material, tile)

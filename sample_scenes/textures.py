@@ -147,8 +147,8 @@ def painting(seed: int, size: int = 192) -> np.ndarray:
     return np.clip(picture, 0.01, 0.85)
 
 
-def stained_glass(seed: int, columns: int, rows: int, size: int = SIZE) -> np.ndarray:
-    """Transmittance of leaded glass: a border, lozenges of several colours, dark leads between them."""
+def stained_glass(seed: int, columns: int, rows: int, pale: bool = False, size: int = SIZE) -> np.ndarray:
+    """Transmittance of leaded glass: a border, lozenges of several colours (`pale`: mostly clear), dark leads between them."""
     rng = np.random.default_rng(seed)
     v, u = np.meshgrid((np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size, indexing="ij")
     first, second = u * columns + v * rows, u * columns - v * rows
@@ -158,10 +158,28 @@ def stained_glass(seed: int, columns: int, rows: int, size: int = SIZE) -> np.nd
     palette = np.array(
         [(0.70, 0.06, 0.04), (0.05, 0.13, 0.62), (0.85, 0.55, 0.10), (0.08, 0.42, 0.16), (0.75, 0.72, 0.62), (0.35, 0.08, 0.45)]
     )
-    weights = [0.26, 0.34, 0.16, 0.1, 0.1, 0.04]
+    weights = [0.02, 0.03, 0.1, 0.0, 0.85, 0.0] if pale else [0.26, 0.34, 0.16, 0.1, 0.1, 0.04]
     choice = rng.choice(len(palette), size=(64, 64), p=weights)
     lozenge = choice[np.floor(first).astype(int) % 64, np.floor(second).astype(int) % 64]
     frieze = np.where(np.floor(v * rows * 2).astype(int) % 2 == 0, 0, 2)
     colour = palette[np.where(border, frieze, lozenge)]
+    colour = colour * (1 + 0.12 * noise(seed, 0.9, size))[..., None]
+    return np.clip(np.where(lead[..., None], 0.015, colour), 0.0, 0.95)
+
+
+def rose_glass(seed: int, petals: int = 12, size: int = SIZE) -> np.ndarray:
+    """Transmittance of a rose window: rings of petals round the middle of the texture, with leads between them."""
+    v, u = np.meshgrid((np.arange(size) + 0.5) / size * 2 - 1, (np.arange(size) + 0.5) / size * 2 - 1, indexing="ij")
+    radius, angle = np.hypot(u, v), np.arctan2(v, u) / (2 * np.pi)
+    palette = np.array([(0.05, 0.13, 0.62), (0.70, 0.06, 0.04), (0.85, 0.55, 0.10), (0.08, 0.42, 0.16), (0.72, 0.70, 0.62)])
+    colour, lead = np.zeros((size, size, 3)), np.zeros((size, size), bool)
+    rings = ((0.0, 0.2, 1), (0.2, 0.45, petals // 2), (0.45, 0.72, petals), (0.72, 1.5, 2 * petals))
+    for index, (inner, outer, count) in enumerate(rings):
+        here = (radius >= inner) & (radius < outer)
+        place = angle * count + 0.5 * (index % 2)
+        pick = np.array([2, 0, 1, 0, 4, 3])[(np.floor(place).astype(int) + index) % (2 if count > 1 else 1) + index]
+        colour[here] = palette[pick[here]]
+        lead |= here & ((np.abs(place % 1 - 0.5) > 0.5 - 0.012 * count / np.maximum(2 * np.pi * radius, 0.05)) & (count > 1))
+        lead |= np.abs(radius - outer) < 0.012
     colour = colour * (1 + 0.12 * noise(seed, 0.9, size))[..., None]
     return np.clip(np.where(lead[..., None], 0.015, colour), 0.0, 0.95)
