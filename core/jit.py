@@ -6,6 +6,7 @@ user folder (`NUMBA_CACHE_DIR` where that is set), or not at all where none is w
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import os
@@ -15,7 +16,8 @@ from pathlib import Path
 
 import numba
 import platformdirs
-from numba.core import caching, event
+from numba.core import caching, event, sigutils
+from numba.core.ccallback import CFunc
 
 # Keeps NaN and infinity (no 'nnan', 'ninf'); without 'reassoc' sums do not vectorise.
 FAST_MATH = {"reassoc", "contract", "nsz"}
@@ -87,6 +89,22 @@ class _CacheLocator(caching.UserProvidedCacheLocator):
         return super(caching.UserProvidedCacheLocator, cls).from_function(py_func, py_file)
 
 
+class _Cache(caching.FunctionCache):
+    """A cache that never stops a render: what cannot be read is compiled anew, what cannot be written is not kept."""
+
+    def _load_overload(self, sig, target_context):
+        try:
+            return super()._load_overload(sig, target_context)
+        except Exception:  # pickled by another version, whose classes are not here; unpickling raises anything
+            with contextlib.suppress(OSError):
+                self.flush()
+            return None
+
+    def _save_overload(self, sig, data):
+        with contextlib.suppress(OSError):  # a full disk: the kernel is compiled already, and runs
+            super()._save_overload(sig, data)
+
+
 _CACHE = _cache_folder()
 if _CacheLocator.__qualname__ not in {c.__qualname__ for c in caching.CacheImpl._locator_classes}:
     caching.CacheImpl._locator_classes.insert(0, _CacheLocator)
@@ -104,7 +122,11 @@ def kernel(function=None, *, fast: bool = True, **options):
     def decorate(function):
         # Only this package's own kernels have a locator (a test's may lie anywhere).
         inside = _ROOM in Path(function.__code__.co_filename).resolve().parents
-        return numba.njit(**(options | {"cache": options["cache"] and inside}))(function)
+        cached = options["cache"] and inside
+        dispatcher = numba.njit(**(options | {"cache": False}))(function)
+        if cached:
+            dispatcher._cache = _Cache(function)  # what `cache=True` does, with a cache of Numba's own
+        return dispatcher
 
     return decorate if function is None else decorate(function)
 
@@ -114,6 +136,21 @@ def inlined(function=None, **options):
     options = {"error_model": "numpy", "fastmath": FAST_MATH, "forceinline": True} | options
     decorate = numba.njit(**options)
     return decorate if function is None else decorate(function)
+
+
+def c_function(signature):
+    """A kernel compiled now, for one signature, as a C function: `.address` is what other kernels may call."""
+
+    def decorate(function):
+        options = {"nopython": True, "error_model": "numpy", "fastmath": FAST_MATH}
+        arguments, result = sigutils.normalize_signature(signature)
+        compiled = CFunc(function, (arguments, result), locals={}, options=options)
+        if _CACHE is not None:
+            compiled._cache = _Cache(function)
+        compiled.compile()
+        return compiled
+
+    return decorate
 
 
 class CompileTimer:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .errors import SceneError
+from .inspection import foresee
 from .jit import CompileTimer
 from .lamps import build_emitters, direct_irradiance, world_tables
 from .layers import Layers
@@ -69,7 +70,7 @@ def render(
         core.threads.Cancelled: `progress` returned False.
     """
     method = _method(settings)
-    run = _Run(progress, skipped=list(scene.skipped), warnings=list(scene.warnings))
+    run = _Run(progress)
     run.seconds["extraction"] = extraction_seconds
     begin = time.perf_counter()
     threads = thread_count(settings.threads)
@@ -80,6 +81,8 @@ def render(
     with ray_scene:
         with run.stage("emitters"):
             emitters = build_emitters(scene)
+            skipped, warnings = foresee(scene, emitters)
+            run.skipped, run.warnings = [*scene.skipped, *skipped], [*scene.warnings, *warnings]
             tables = transport(geometry, scene.materials.tables, ray_scene.tables, emitters)
         with run.stage("view") as tick:
             seen = view(scene, ray_scene.tables, world_tables(scene.world), settings.pixel_samples, settings.seed, threads, tick)
