@@ -29,14 +29,14 @@ class PointBlocks:
 
     order: (N,) int32, sorted place -> given index.
     positions: (3, P) float32.
-    normals: (4, P) float32, or None where none were given: x, y, z and NO_NORMAL or 0. A normal that is zero or
-        not finite becomes (0, 0, 0, NO_NORMAL), which lies above every threshold on the cosine: it goes with any other.
+    normals: (4, P) float32: x, y, z and 0. A normal that is zero, not finite or not given becomes
+        (0, 0, 0, NO_NORMAL), which lies above every threshold on the cosine: it goes with any other.
     given: M.
     """
 
     order: np.ndarray
     positions: np.ndarray
-    normals: np.ndarray | None
+    normals: np.ndarray
     given: int
 
     def __len__(self) -> int:
@@ -49,8 +49,12 @@ class PointBlocks:
     def take(self, places: np.ndarray) -> PointBlocks:
         """The points at these sorted places."""
         padded = _padded(places)
-        normals = None if self.normals is None else np.ascontiguousarray(self.normals[:, padded])
-        return PointBlocks(self.order[places], np.ascontiguousarray(self.positions[:, padded]), normals, self.given)
+        return PointBlocks(
+            self.order[places],
+            np.ascontiguousarray(self.positions[:, padded]),
+            np.ascontiguousarray(self.normals[:, padded]),
+            self.given,
+        )
 
 
 def as_blocks(positions: np.ndarray | PointBlocks, normals: np.ndarray | None) -> PointBlocks:
@@ -68,10 +72,9 @@ def point_blocks(positions: np.ndarray, normals: np.ndarray | None = None) -> Po
         ValueError: the shapes are not (M, 3).
     """
     positions = as_vectors(positions, "positions")
-    if normals is not None:
-        normals = as_vectors(normals, "normals")
-        if len(normals) != len(positions):
-            raise ValueError(f"normals: {len(normals)} rows for {len(positions)} positions")
+    normals = as_vectors(normals, "normals") if normals is not None else np.zeros_like(positions)
+    if len(normals) != len(positions):
+        raise ValueError(f"normals: {len(normals)} rows for {len(positions)} positions")
     indices = np.empty(len(positions), np.int32)
     bounds = np.zeros((2, 3), np.float32)
     indices = indices[: _finite_points(positions, indices, bounds)]
@@ -83,7 +86,7 @@ def point_blocks(positions: np.ndarray, normals: np.ndarray | None = None) -> Po
     _sort_keys(positions, normals, indices, bounds[0], scale, 3 * (_AXIS_BITS - min(face_level, _AXIS_BITS)), keys)
     order = indices[radix_order(keys)]
     places = _padded(order)
-    return PointBlocks(order, gather(positions, places), None if normals is None else gather_normals(normals, places), len(positions))
+    return PointBlocks(order, gather(positions, places), gather_normals(normals, places), len(positions))
 
 
 def as_vectors(array: np.ndarray, name: str) -> np.ndarray:
@@ -105,7 +108,7 @@ def _padded(places: np.ndarray) -> np.ndarray:
     return np.concatenate([places, np.repeat(places[-1:], missing)]) if missing else places
 
 
-@kernel
+@kernel(fast=False)
 def _finite_points(positions, indices, bounds):
     n = 0
     for i in range(len(positions)):
@@ -119,7 +122,7 @@ def _finite_points(positions, indices, bounds):
     return n
 
 
-@kernel
+@kernel(fast=False)
 def gather(vectors, places):
     """(N, 3) vectors at (P,) places -> (3, P)."""
     out = np.empty((3, len(places)), np.float32)
@@ -129,7 +132,7 @@ def gather(vectors, places):
     return out
 
 
-@kernel
+@kernel(fast=False)
 def gather_normals(normals, places):
     """(N, 3) normals at (P,) places -> (4, P), the form of `PointBlocks.normals`."""
     out = np.zeros((4, len(places)), np.float32)
@@ -142,7 +145,7 @@ def gather_normals(normals, places):
     return out
 
 
-@inlined
+@inlined(fastmath=False)
 def _spread(v):
     """15 bits, two zeros after each."""
     v = (v | (v << 16)) & 0x0000FF0000FF
@@ -151,7 +154,7 @@ def _spread(v):
     return (v | (v << 2)) & 0x249249249249
 
 
-@kernel
+@kernel(fast=False)
 def _sort_keys(positions, normals, indices, low, scale, face_shift, keys):
     lower_bits = (np.int64(1) << face_shift) - 1
     for i in range(len(indices)):
@@ -159,16 +162,14 @@ def _sort_keys(positions, normals, indices, low, scale, face_shift, keys):
         code = np.int64(0)
         for axis in range(3):
             code |= _spread(np.int64((positions[p, axis] - low[axis]) * scale)) << axis
-        face = np.int64(0)
-        if normals is not None:
-            x, y, z = normals[p, 0], normals[p, 1], normals[p, 2]
-            largest = max(abs(x), abs(y), abs(z))
-            face = np.int64(0) if abs(x) == largest else (np.int64(1) if abs(y) == largest else np.int64(2))
-            face += 3 * np.int64(x + y + z < 0)
+        x, y, z = normals[p, 0], normals[p, 1], normals[p, 2]
+        largest = max(abs(x), abs(y), abs(z))
+        face = np.int64(0) if abs(x) == largest else (np.int64(1) if abs(y) == largest else np.int64(2))
+        face += 3 * np.int64(x + y + z < 0)
         keys[i] = ((code & ~lower_bits) << _FACE_BITS) | (face << face_shift) | (code & lower_bits)
 
 
-@kernel
+@kernel(fast=False)
 def _radix_order(keys, order, other, count):
     for shift in range(0, 3 * _AXIS_BITS + _FACE_BITS, _DIGIT_BITS):
         count[:] = 0

@@ -13,7 +13,7 @@ import numpy as np
 from ..jit import kernel
 from ..threads import run_chunks
 from .blocks import PointBlocks, as_blocks, as_vectors
-from .grid import ANY_NORMAL, Metric, build_grid, nearest
+from .grid import ANY_NORMAL, BY_POSITION, Metric, build_grid, nearest
 from .kmeans import NORMAL_THRESHOLD
 
 WEIGHTINGS = ("distance", "plain", "smooth")
@@ -67,7 +67,7 @@ def fuzzy_assign(
     if weighting not in WEIGHTINGS:
         raise ValueError(f"weighting: expected one of {', '.join(WEIGHTINGS)}, got {weighting!r}")
     blocks = as_blocks(positions, normals)
-    metric = Metric(ANY_NORMAL if normal_threshold is None or blocks.normals is None else float(normal_threshold))
+    metric = Metric(ANY_NORMAL if normal_threshold is None else float(normal_threshold))
     return _assign(blocks, centres, centre_normals, fuzziness, metric, weighting, search, threads)
 
 
@@ -83,19 +83,17 @@ def nearest_plane_aware(
 ) -> FuzzyAssignment:
     """The F nearest representatives by m^2 = d^2 + (4 h)^2 + 2 d0^2 (1 - cos), weights proportional to 1/m.
 
-    points, normals: as in `fuzzy_assign`, but normals are needed;  representatives, representative_normals: (K, 3).
+    points, normals: as in `fuzzy_assign`;  representatives, representative_normals: (K, 3).
     h: the larger of the distances of the point to the representative's plane and back.  Only representatives with
         cos > cos 45 degrees count; a point that has none gets the nearest one, whatever its normal.
     d0: metres, the representatives' median spacing by default.
 
     Raises:
-        ValueError: F < 1, no representatives or no normals.
+        ValueError: F < 1, no representatives.
     """
     if F < 1:
         raise ValueError(f"F: expected at least 1, got {F}")
     blocks = as_blocks(points, normals)
-    if blocks.normals is None:
-        raise ValueError("normals: the plane-aware search needs them")
     d0 = median_spacing(representatives, threads=threads) if d0 is None else d0
     metric = Metric(PLANE_THRESHOLD, 2 * d0**2, PLANE_FACTOR**2)
     return _assign(blocks, representatives, representative_normals, F, metric, "distance", "shells", threads)
@@ -118,7 +116,7 @@ def _assign(blocks, centres, centre_normals, count, metric, weighting, search, t
     alone = np.flatnonzero(ids[0, : len(blocks)] < 0)
     if len(alone):
         anywhere = build_grid(centres, centre_normals, split=False)
-        found, found_squared = nearest(blocks.take(alone), anywhere, 1, Metric(), search, threads)
+        found, found_squared = nearest(blocks.take(alone), anywhere, 1, BY_POSITION, search, threads)
         ids[0, alone], squared[0, alone] = found[0, : len(alone)], found_squared[0, : len(alone)]
     shape = (blocks.given, count)
     result = FuzzyAssignment(np.zeros(shape, np.int32), np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32))

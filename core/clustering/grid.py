@@ -17,7 +17,7 @@ import numpy as np
 
 from ..jit import inlined, kernel
 from ..threads import run_chunks
-from .blocks import LANES, NO_NORMAL, PointBlocks, as_vectors, gather, gather_normals
+from .blocks import LANES, PointBlocks, as_vectors, gather, gather_normals
 
 SEARCHES = ("shells", "neighbourhood")
 ANY_NORMAL = -8.0  # a threshold below every cosine
@@ -43,10 +43,13 @@ class Metric(NamedTuple):
     plane: float = 0.0
 
 
+BY_POSITION = Metric()
+
+
 class Grid(NamedTuple):
     """K centres in B grids, sorted by grid and cell.
 
-    positions: (3, K) float32;  normals: (4, K) float32 or None (see PointBlocks);  ids: (K,) int32, given indices.
+    positions: (3, K) float32;  normals: (4, K) float32 (see PointBlocks);  ids: (K,) int32, given indices.
     first: (B,) int32, where each grid's cells begin in `start`;  start: first centre of each cell (x fastest), of
         one cell more than there are in each grid.
     origin: (B, 3) float32 (m);  cell: (B,) float32, edge (m), 0 for a grid without centres;  size: (B, 3) int32, cells.
@@ -54,7 +57,7 @@ class Grid(NamedTuple):
     """
 
     positions: np.ndarray
-    normals: np.ndarray | None
+    normals: np.ndarray
     ids: np.ndarray
     first: np.ndarray
     start: np.ndarray
@@ -75,17 +78,16 @@ def build_grid(centres: np.ndarray, normals: np.ndarray | None = None, split: bo
     centres = as_vectors(centres, "centres")
     if len(centres) == 0 or not np.isfinite(centres).all():
         raise ValueError("centres: expected at least one, all finite")
-    places = np.arange(len(centres), dtype=np.int32)
-    rows = None if normals is None else gather_normals(as_vectors(normals, "centre normals"), places)
-    count = _SPLIT if split and normals is not None else 1
-    order, first, start, origin, cell, size, bounds = _build(centres, rows, count)
-    return Grid(
-        gather(centres, order), None if rows is None else np.ascontiguousarray(rows[:, order]), order, first, start, origin, cell, size, bounds
-    )
+    normals = as_vectors(normals, "centre normals") if normals is not None else np.zeros_like(centres)
+    if len(normals) != len(centres):
+        raise ValueError(f"centre normals: {len(normals)} rows for {len(centres)} centres")
+    rows = gather_normals(normals, np.arange(len(centres), dtype=np.int32))
+    order, first, start, origin, cell, size, bounds = _build(centres, rows, _SPLIT if split else 1)
+    return Grid(gather(centres, order), np.ascontiguousarray(rows[:, order]), order, first, start, origin, cell, size, bounds)
 
 
 def nearest(
-    points: PointBlocks, grid: Grid, count: int = 1, metric: Metric = Metric(), search: str = "shells", threads: int = 0
+    points: PointBlocks, grid: Grid, count: int = 1, metric: Metric = BY_POSITION, search: str = "shells", threads: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """The `count` nearest centres of each point, nearest first, in the points' sorted order.
 
@@ -94,12 +96,10 @@ def nearest(
         and the 26 around are compared, unless one of the block's points finds none there.
 
     Raises:
-        ValueError: unknown search, or only one side has normals.
+        ValueError: unknown search.
     """
     if search not in SEARCHES:
         raise ValueError(f"search: expected one of {', '.join(SEARCHES)}, got {search!r}")
-    if (points.normals is None) != (grid.normals is None):
-        raise ValueError("normals: given for only one of points and centres")
     places = points.positions.shape[1]
     ids = np.empty((count, places), np.int32)
     squared = np.empty((count, places), np.float32)
@@ -113,7 +113,7 @@ def nearest(
     return ids, squared
 
 
-@kernel
+@kernel(fast=False)
 def _build(centres, normals, count):
     """Distribute centres over `count` grids and their cells; the fields of Grid in their order."""
     k = len(centres)
@@ -126,16 +126,15 @@ def _build(centres, normals, count):
     grid_of = np.zeros(k, np.int32)
     high = np.zeros((count, 3), np.float32)
     for i in range(k):
-        if normals is not None and count > 1:
+        if count > 1:
             grid_of[i] = _grid_of(normals[0, i], normals[1, i], normals[2, i], normals[3, i])
         g = grid_of[i]
         for axis in range(3):
             origin[g, axis] = min(origin[g, axis], centres[i, axis]) if members[g] else centres[i, axis]
             high[g, axis] = max(high[g, axis], centres[i, axis]) if members[g] else centres[i, axis]
-        if normals is not None:
-            for axis in range(4):
-                bounds[g, 0, axis] = min(bounds[g, 0, axis], normals[axis, i]) if members[g] else normals[axis, i]
-                bounds[g, 1, axis] = max(bounds[g, 1, axis], normals[axis, i]) if members[g] else normals[axis, i]
+        for axis in range(4):
+            bounds[g, 0, axis] = min(bounds[g, 0, axis], normals[axis, i]) if members[g] else normals[axis, i]
+            bounds[g, 1, axis] = max(bounds[g, 1, axis], normals[axis, i]) if members[g] else normals[axis, i]
         members[g] += 1
 
     cells = np.zeros(k, np.int32)
@@ -189,7 +188,7 @@ def _build(centres, normals, count):
     return order, first, start[:next_cell].copy(), origin, cell, size, bounds
 
 
-@inlined
+@inlined(fastmath=False)
 def _grid_of(x, y, z, free):
     largest = max(abs(x), abs(y), abs(z))
     if free > 0:
@@ -201,13 +200,13 @@ def _grid_of(x, y, z, free):
     return 4 if z > 0 else 5
 
 
-@inlined
+@inlined(fastmath=False)
 def _cell(x, origin, cell, size):
     # Clamped as a float: far points would overflow the integer.
     return np.int32(min(max((x - origin) / cell, np.float32(0)), np.float32(size - 1)))
 
 
-@inlined
+@inlined(fastmath=False)
 def _squared(dx, dy, dz, nx, ny, nz, free, mx, my, mz, mfree, threshold, turn, plane):
     d = dx * dx + dy * dy + dz * dz
     cos = nx * mx + ny * my + nz * mz + free + mfree
@@ -239,11 +238,10 @@ def _search(lanes, positions, normals, grid, first_block, last_block, threshold,
         px, py, pz = positions[0, base : base + lanes], positions[1, base : base + lanes], positions[2, base : base + lanes]
         for axis in range(3):
             low[axis], high[axis] = _extent(positions[axis, base : base + lanes])
-        if normals is not None:
-            nx, ny, nz = normals[0, base : base + lanes], normals[1, base : base + lanes], normals[2, base : base + lanes]
-            free = normals[3, base : base + lanes]
-            for axis in range(4):
-                normal_low[axis], normal_high[axis] = _extent(normals[axis, base : base + lanes])
+        nx, ny, nz = normals[0, base : base + lanes], normals[1, base : base + lanes], normals[2, base : base + lanes]
+        free = normals[3, base : base + lanes]
+        for axis in range(4):
+            normal_low[axis], normal_high[axis] = _extent(normals[axis, base : base + lanes])
         ids[:, base : base + lanes] = -1
         squared[:, base : base + lanes] = _INF
         farthest = squared[count - 1, base : base + lanes]
@@ -251,10 +249,10 @@ def _search(lanes, positions, normals, grid, first_block, last_block, threshold,
         for g in range(grids):
             steps[g] = 0
             reached[g] = _distance_to_grid(grid, g, low, high)
-            if normals is not None and _largest_cos(normal_low, normal_high, grid.normal_bounds[g]) <= threshold:
+            if _largest_cos(normal_low, normal_high, grid.normal_bounds[g]) <= threshold:
                 reached[g] = _INF
         while True:
-            g = 0
+            g = np.int64(0)
             for other in range(1, grids):
                 if _urgency(exact, steps[other], reached[other]) < _urgency(exact, steps[g], reached[g]):
                     g = other
@@ -278,22 +276,14 @@ def _search(lanes, positions, normals, grid, first_block, last_block, threshold,
                         for c in range(grid.start[row + begin], grid.start[row + end]):
                             cx, cy, cz = grid.positions[0, c], grid.positions[1, c], grid.positions[2, c]
                             better = np.int32(0)
-                            if normals is not None:
-                                mx, my, mz = grid.normals[0, c], grid.normals[1, c], grid.normals[2, c]
-                                mfree = grid.normals[3, c]
-                                for j in range(lanes):
-                                    d = _squared(
-                                        px[j] - cx, py[j] - cy, pz[j] - cz, nx[j], ny[j], nz[j], free[j], mx, my, mz, mfree,
-                                        threshold, turn, plane,
-                                    )  # fmt: skip
-                                    trial[j] = d
-                                    better |= np.int32((d <= farthest[j]) & (d < _INF))
-                            else:
-                                for j in range(lanes):
-                                    dx, dy, dz = px[j] - cx, py[j] - cy, pz[j] - cz
-                                    d = dx * dx + dy * dy + dz * dz
-                                    trial[j] = d
-                                    better |= np.int32(d <= farthest[j])
+                            mx, my, mz, mfree = grid.normals[0, c], grid.normals[1, c], grid.normals[2, c], grid.normals[3, c]
+                            for j in range(lanes):
+                                d = _squared(
+                                    px[j] - cx, py[j] - cy, pz[j] - cz, nx[j], ny[j], nz[j], free[j], mx, my, mz, mfree,
+                                    threshold, turn, plane,
+                                )  # fmt: skip
+                                trial[j] = d
+                                better |= np.int32((d <= farthest[j]) & (d < _INF))
                             if better:
                                 improved = True
                                 _insert(lanes, trial, trial_id, grid.ids[c], base, ids, squared)
@@ -301,12 +291,13 @@ def _search(lanes, positions, normals, grid, first_block, last_block, threshold,
                         reach = np.float32(0)
                         for j in range(lanes):
                             reach = max(reach, farthest[j])
-            visited[g] = box
+            for axis in range(3):
+                visited[g, 0, axis], visited[g, 1, axis] = box[0, axis], box[1, axis]
             steps[g] += 1
             reached[g] = _distance_outside(grid, g, low, high, box)
 
 
-@inlined
+@inlined(fastmath=False)
 def _extent(values):
     low = high = values[0]
     for i in range(1, len(values)):
@@ -315,13 +306,13 @@ def _extent(values):
     return low, high
 
 
-@inlined
+@inlined(fastmath=False)
 def _urgency(exact, steps, reached):
     """Grids are grown nearest first; in the neighbourhood mode each first gets its 27 cells (two steps)."""
     return np.float32(-1) if not exact and steps < 2 and reached < _INF else reached
 
 
-@inlined
+@inlined(fastmath=False)
 def _distance_to_grid(grid, g, low, high):
     """Lower bound of the distance between the box [low, high] and the grid's centres; infinite for a grid without any."""
     if grid.cell[g] == 0:
@@ -334,7 +325,7 @@ def _distance_to_grid(grid, g, low, high):
     return np.sqrt(squared) * np.float32(_ROUNDING)
 
 
-@inlined
+@inlined(fastmath=False)
 def _largest_cos(low, high, bounds):
     """Upper bound of the cosine between normals of two boxes of normals."""
     total = np.float32(1e-5)
@@ -344,7 +335,7 @@ def _largest_cos(low, high, bounds):
     return total + high[3] + bounds[1, 3]
 
 
-@inlined
+@inlined(fastmath=False)
 def _next_box(grid, g, step, low, high, visited, box):
     """The cells under [low, high] at first, then boxes that grow by one cell, later by more."""
     margin = 1 + step // 4
@@ -358,7 +349,7 @@ def _next_box(grid, g, step, low, high, visited, box):
             box[1, axis] = min(visited[1, axis] + margin, grid.size[g, axis])
 
 
-@inlined
+@inlined(fastmath=False)
 def _distance_outside(grid, g, low, high, box):
     """Lower bound of the distance from [low, high] to centres outside the box of cells; infinite where there are none."""
     distance = _INF
@@ -370,7 +361,7 @@ def _distance_outside(grid, g, low, high, box):
     return max(distance, np.float32(0)) * np.float32(_ROUNDING)
 
 
-@inlined
+@inlined(fastmath=False)
 def _gap(i, origin, cell, low, high):
     """Lower bound of the distance along an axis between cell i and [low, high]."""
     below = low - (origin + (i + 1 + np.float32(_SLACK)) * cell)
@@ -378,7 +369,7 @@ def _gap(i, origin, cell, low, high):
     return max(below, above, np.float32(0)) * np.float32(_ROUNDING)
 
 
-@inlined
+@inlined(fastmath=False)
 def _insert(lanes, trial, trial_id, centre, base, ids, squared):
     """Bubble one centre into every lane's sorted list where it belongs."""
     trial_id[:] = centre

@@ -39,7 +39,7 @@ class Clustering:
     """
 
     centroids: np.ndarray
-    normals: np.ndarray | None
+    normals: np.ndarray
     assignment: np.ndarray
     sizes: np.ndarray
     representatives: np.ndarray
@@ -93,31 +93,50 @@ def kmeans(
     n = len(blocks)
     assignment = np.full(blocks.given, -1, np.int32)
     if n == 0:
-        none = None if blocks.normals is None else np.zeros((0, 3), np.float32)
-        return Clustering(np.zeros((0, 3), np.float32), none, assignment, np.zeros(0, np.int32), np.zeros(0, np.int32), (), 0)
+        vectors, integers = np.zeros((0, 3), np.float32), np.zeros(0, np.int32)
+        return Clustering(vectors, vectors, assignment, integers, integers, (), 0)
     k = min(k, n)
     extra = max(8, k // 4) if extra is None else extra
-    threshold = ANY_NORMAL if normal_threshold is None or blocks.normals is None else float(normal_threshold)
+    threshold = ANY_NORMAL if normal_threshold is None else float(normal_threshold)
     metric = Metric(threshold, 2 * normal_scale**2)
 
     training, weights = _training(blocks, _checked_weights(weights, blocks), max(1, min(round(gamma), n // (_TRAINING_PER_CLUSTER * k))))
     centroids, means = _initial(blocks, training, weights, k, initial, np.random.default_rng(seed))
     objective = []
+    added = 0
     previous = None
-    for _ in range(iterations):
+    for iteration in range(iterations):
         ids, squared = nearest(training, _grid(centroids, means, threshold), 1, metric, search, threads)
         sums, farthest = _cluster_sums(training, weights, ids[0], squared[0], len(centroids), threads)
         objective.append(float(sums[:, 7].sum() / max(sums[:, 0].sum(), np.finfo(float).tiny)))
         centroids, means = _means(sums, centroids, means)
-        reseeded = _reseed(training, sums, farthest, ids[0, : len(training)], centroids, means)
-        if not reseeded and previous is not None and np.array_equal(previous, ids):
+        changed = _reseed(training, sums, farthest, ids[0, : len(training)], centroids, means)
+        if iteration == iterations // 2:
+            # Half-way, so that the other half of the iterations spreads the added centroids out.
+            places = _leftover_seeds(training, ids[0], extra // 2, metric, search, threads)
+            centroids, means = _append(training, places, centroids, means)
+            added = len(places)
+            changed |= added > 0
+        if not changed and previous is not None and np.array_equal(previous, ids):
             break
         previous = ids
 
     ids, squared = nearest(blocks, _grid(centroids, means, threshold), 1, metric, search, threads)
     ids, squared = ids[0], squared[0]
-    centroids, means, unmatched = _place_leftovers(blocks, centroids, means, metric, search, threads, extra, ids, squared)
-    return _finished(blocks, centroids, means, ids, squared, tuple(objective), unmatched, assignment)
+    places = _leftover_seeds(blocks, ids, extra - added, metric, search, threads)
+    if len(places):
+        # All points see the new centroids: the assignment stays that of the nearest of all.
+        found, found_squared = nearest(blocks, _grid(*_at(blocks, places), threshold), 1, metric, search, threads)
+        nearer = found_squared[0] < squared
+        ids[nearer] = found[0, nearer] + len(centroids)
+        squared[nearer] = found_squared[0, nearer]
+        centroids, means = _append(blocks, places, centroids, means)
+    left = np.flatnonzero(ids[:n] < 0)
+    if len(left):
+        grid = build_grid(centroids, means, split=False)
+        found, _ = nearest(blocks.take(left), grid, 1, metric._replace(threshold=ANY_NORMAL), search, threads)
+        ids[left] = found[0, : len(left)]  # their distance stays infinite: no cluster with a better member is represented by them
+    return _finished(blocks, centroids, means, ids, squared, tuple(objective), len(left), assignment)
 
 
 def _checked_weights(weights: np.ndarray | None, blocks: PointBlocks) -> np.ndarray:
@@ -138,11 +157,11 @@ def _training(blocks: PointBlocks, weights: np.ndarray, step: int) -> tuple[Poin
     return (blocks, weights) if step == 1 else (blocks.every(step), weights[step // 2 :: step])
 
 
-def _grid(centroids: np.ndarray, means: np.ndarray | None, threshold: float):
+def _grid(centroids: np.ndarray, means: np.ndarray, threshold: float):
     return build_grid(centroids, means, split=threshold > -1)
 
 
-def _initial(blocks, training, weights, k, initial, rng) -> tuple[np.ndarray, np.ndarray | None]:
+def _initial(blocks, training, weights, k, initial, rng) -> tuple[np.ndarray, np.ndarray]:
     """(k, 3) centroids and normals to start from."""
     edges = np.concatenate([[0.0], np.cumsum(weights)])
     strata = (np.arange(k) + rng.random(k)) / k * edges[-1]
@@ -155,9 +174,7 @@ def _initial(blocks, training, weights, k, initial, rng) -> tuple[np.ndarray, np
     if initial is None:
         return centroids, means
     if isinstance(initial, Clustering):
-        if (initial.normals is None) != (means is None):
-            raise ValueError("initial: a clustering with normals starts only points with normals, and one without only points without")
-        given, given_means = initial.centroids[:k], None if means is None else initial.normals[:k]
+        given, given_means = initial.centroids[:k], initial.normals[:k]
     else:
         place_of = np.full(blocks.given, -1, np.int64)
         place_of[blocks.order] = np.arange(len(blocks))
@@ -166,14 +183,12 @@ def _initial(blocks, training, weights, k, initial, rng) -> tuple[np.ndarray, np
             raise ValueError("initial: expected indices of points with finite coordinates")
         given, given_means = _at(blocks, place_of[initial])
     centroids[: len(given)] = given
-    if means is not None:
-        means[: len(given)] = given_means
+    means[: len(given)] = given_means
     return centroids, means
 
 
-def _at(blocks: PointBlocks, places: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    normals = None if blocks.normals is None else np.ascontiguousarray(blocks.normals[:3, places].T)
-    return np.ascontiguousarray(blocks.positions[:, places].T), normals
+def _at(blocks: PointBlocks, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return np.ascontiguousarray(blocks.positions[:, places].T), np.ascontiguousarray(blocks.normals[:3, places].T)
 
 
 def _cluster_sums(points, weights, ids, squared, k, threads) -> tuple[np.ndarray, np.ndarray]:
@@ -209,28 +224,26 @@ def _sum_members(positions, normals, weights, ids, squared, begin, end, sums, di
         row[1] += w * positions[0, i]
         row[2] += w * positions[1, i]
         row[3] += w * positions[2, i]
-        if normals is not None:
-            row[4] += w * normals[0, i]
-            row[5] += w * normals[1, i]
-            row[6] += w * normals[2, i]
+        row[4] += w * normals[0, i]
+        row[5] += w * normals[1, i]
+        row[6] += w * normals[2, i]
         row[7] += w * squared[i]
         if squared[i] > distance[c]:
             distance[c] = squared[i]
             farthest[c] = i
 
 
-def _means(sums, centroids, means) -> tuple[np.ndarray, np.ndarray | None]:
+def _means(sums, centroids, means) -> tuple[np.ndarray, np.ndarray]:
     """The members' mean positions and normalised mean normals; clusters without members keep theirs."""
     filled = sums[:, 0] > 0
     centroids = centroids.copy()
     centroids[filled] = sums[filled, 1:4] / sums[filled, :1]
-    if means is not None:
-        means = means.copy()
-        length = np.linalg.norm(sums[:, 4:7], axis=1)
-        # Opposite normals cancel out but for rounding: such a cluster has no normal.
-        clear = length > 1e-6 * sums[:, 0]
-        means[filled] = 0
-        means[filled & clear] = sums[filled & clear, 4:7] / length[filled & clear, None]
+    means = means.copy()
+    length = np.linalg.norm(sums[:, 4:7], axis=1)
+    # Opposite normals cancel out but for rounding: such a cluster has no normal.
+    clear = length > 1e-6 * sums[:, 0]
+    means[filled] = 0
+    means[filled & clear] = sums[filled & clear, 4:7] / length[filled & clear, None]
     return centroids, means
 
 
@@ -245,9 +258,7 @@ def _reseed(points, sums, farthest, ids, centroids, means) -> bool:
     donors = donors[np.argsort(-sums[donors, 7], kind="stable")][: len(empty) - len(places)]
     places = np.concatenate([places, farthest[donors]])
     moved = empty[: len(places)]
-    centroids[moved], normals = _at(points, places)
-    if means is not None:
-        means[moved] = normals
+    centroids[moved], means[moved] = _at(points, places)
     return len(places) > 0
 
 
@@ -256,36 +267,24 @@ def _strided(n: int, count: int) -> np.ndarray:
     return (np.arange(count) * n + n // 2) // max(count, 1)
 
 
-def _place_leftovers(blocks, centroids, means, metric, search, threads, extra, ids, squared):
-    """Add up to `extra` clusters for points that no centroid takes; the rest joins the nearest, whatever its normal.
+def _leftover_seeds(points, ids, extra, metric, search, threads) -> np.ndarray:
+    """Places of up to `extra` points that no centroid takes, such that they take as many of the others as they can.
 
-    Half of the extra clusters that are left go to evenly spread leftovers at each round.  Writes `ids` and `squared` (P,).
-    Returns the centroids, their normals, and the number of points that broke the threshold.
+    ids: the points' centroids.  Half of the seeds that are left go to evenly spread leftovers at each round.
     """
-    missing = ids < 0
-    missing[len(blocks) :] = False
-    if not missing.any():
-        return centroids, means, 0
-    left = np.flatnonzero(missing)
+    left = np.flatnonzero(ids[: len(points)] < 0)
     seeds = np.zeros(0, np.int64)
     while len(left) and len(seeds) < extra:
         chosen = left[_strided(len(left), min(len(left), -(-(extra - len(seeds)) // 2)))]
         seeds = np.concatenate([seeds, chosen])
-        found, _ = nearest(blocks.take(left), _grid(*_at(blocks, chosen), metric.threshold), 1, metric, search, threads)
+        found, _ = nearest(points.take(left), _grid(*_at(points, chosen), metric.threshold), 1, metric, search, threads)
         left = left[found[0, : len(left)] < 0]
-    if len(seeds):
-        # All points see the new centroids: the assignment stays that of the nearest of all.
-        added, added_means = _at(blocks, seeds)
-        found, found_squared = nearest(blocks, _grid(added, added_means, metric.threshold), 1, metric, search, threads)
-        nearer = found_squared[0] < squared
-        ids[nearer] = found[0, nearer] + len(centroids)
-        squared[nearer] = found_squared[0, nearer]
-        centroids, means = np.concatenate([centroids, added]), np.concatenate([means, added_means])
-    if len(left):
-        grid = build_grid(centroids, means, split=False)
-        found, _ = nearest(blocks.take(left), grid, 1, metric._replace(threshold=ANY_NORMAL), search, threads)
-        ids[left] = found[0, : len(left)]  # their distance stays infinite: they represent no cluster that has a better member
-    return centroids, means, len(left)
+    return seeds
+
+
+def _append(points, places, centroids, means) -> tuple[np.ndarray, np.ndarray]:
+    added, added_means = _at(points, places)
+    return np.concatenate([centroids, added]), np.concatenate([means, added_means])
 
 
 def _finished(blocks, centroids, means, ids, squared, objective, unmatched, assignment) -> Clustering:
@@ -294,9 +293,7 @@ def _finished(blocks, centroids, means, ids, squared, objective, unmatched, assi
     filled = sizes > 0
     label = np.cumsum(filled, dtype=np.int32) - np.int32(1)
     assignment[blocks.order] = label[ids[: len(blocks)]]
-    return Clustering(
-        centroids[filled], None if means is None else means[filled], assignment, sizes[filled], representatives[filled], objective, unmatched
-    )
+    return Clustering(centroids[filled], means[filled], assignment, sizes[filled], representatives[filled], objective, unmatched)
 
 
 @kernel(fast=False)
