@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...core.surfaces import outlined
 from ...core.surfaces import program as ops
 from ...core.surfaces.layout import SURFACE
 from .requests import AttributeRequest
@@ -171,6 +172,7 @@ def run(code: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray
         start=np.zeros(1, np.int32),
         flags=np.zeros(1, np.int32),
         constant=np.zeros((1, SURFACE), np.float32),
+        functions=outlined.addresses({int(op) for op in code[:, 0]}),
     )
     rows, surface = ops.new_registers(tables), np.zeros(SURFACE, np.float32)
     f = np.float32

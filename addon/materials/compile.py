@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...core import scene
+from ...core.surfaces import outlined
 from ...core.surfaces import program as ops
 from ...core.surfaces.layout import EMISSION, GLOSSY_F0, SURFACE, TRANSPARENCY
 from ...core.surfaces.textures import TexturePool
@@ -91,7 +92,9 @@ def _link(programs: list[Program], names: list[str], textures: TexturePool, warn
             )
         flags[m] |= scene.NORMAL_MAPPED * (ops.NORMAL_MAP in operations)
     header, texels_u8, texels_f32 = textures.tables()
-    return scene.MaterialTables(np.concatenate(code), np.concatenate(constants), start, flags, constant, header, texels_u8, texels_f32)
+    instructions = np.concatenate(code)
+    functions = outlined.addresses({int(op) for op in instructions[:, 0]})
+    return scene.MaterialTables(instructions, np.concatenate(constants), start, flags, constant, header, texels_u8, texels_f32, functions)
 
 
 def _constant_flags(surface: np.ndarray) -> int:

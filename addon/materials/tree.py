@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from ...core.surfaces import outlined
 from ...core.surfaces import program as ops
 from ...core.surfaces.arithmetic import SCALAR, VECTOR
 from ...core.surfaces.textures import TexturePool
@@ -109,7 +110,7 @@ class Scope:
         elif target in _SCALARS and source == "VECTOR":
             value = emit(ops.AVERAGE, value)
         if target == "INT" and source not in ("INT", "BOOLEAN"):
-            value = emit(ops.MATH, value, p=SCALAR["TRUNC"])
+            value = emit(outlined.MATH, value, p=SCALAR["TRUNC"])
         return value
 
     def shade(self, socket: bpy.types.NodeSocket, weight: Value) -> None:
@@ -174,7 +175,7 @@ class NodeInput:
 
     def math(self, kind: str, *operands: Value) -> Value:
         """Math node `kind` on scalars."""
-        return self.emit(ops.MATH, *operands, p=SCALAR[kind])
+        return self.emit(outlined.MATH, *operands, p=SCALAR[kind])
 
     def math_rgb(self, kind: str, *operands: Value) -> Value:
         """Math node `kind` on each component."""
@@ -183,7 +184,7 @@ class NodeInput:
 
     def vector(self, kind: str, *operands: Value) -> Value:
         """Vector Math node `kind`."""
-        return self.emit(ops.VECTOR_MATH, *operands, p=VECTOR[kind])
+        return self.emit(outlined.VECTOR_MATH, *operands, p=VECTOR[kind])
 
     def multiply(self, a: Value, b: Value) -> Value:
         """a b per component; nothing is computed where one is 0 or 1."""
@@ -192,7 +193,7 @@ class NodeInput:
                 return y
             if isinstance(x, Constant) and x.rgb == ZERO.rgb:
                 return ZERO
-        return self.vector("MULTIPLY", a, b)
+        return self.emit(ops.SCALE, a, b)
 
     def complement(self, a: Value) -> Value:
         """1 - a per component."""

@@ -180,17 +180,18 @@ def gamma(x, exponent):
 
 
 @inlined
-def lookup(rows, first, size, channel, x, interpolate, extrapolate):
-    """Column `channel` of a table of `size` rows from row `first`, at x in 0..1 (Cycles: rgb_ramp_lookup)."""
-    last = first + size - 1
+def lookup(table, channel, x, interpolate, extrapolate):
+    """Column `channel` of a table of equidistant rows, at x in 0..1 (Cycles: rgb_ramp_lookup)."""
+    size = table.shape[0]
+    last = size - 1
     if extrapolate and x < F(0):
-        return rows[first, channel] + (rows[first, channel] - rows[first + 1, channel]) * -x * F(size - 1)
+        return table[0, channel] + (table[0, channel] - table[1, channel]) * -x * F(last)
     if extrapolate and x > F(1):
-        return rows[last, channel] + (rows[last, channel] - rows[last - 1, channel]) * (x - F(1)) * F(size - 1)
-    x = min(max(x, F(0)), F(1)) * F(size - 1)
-    i = min(max(np.int32(x), 0), size - 1)
-    value = rows[first + i, channel]
+        return table[last, channel] + (table[last, channel] - table[last - 1, channel]) * (x - F(1)) * F(last)
+    x = min(max(x, F(0)), F(1)) * F(last)
+    i = min(max(np.int32(x), 0), last)
+    value = table[i, channel]
     t = x - F(i)
-    if interpolate and t > F(0) and i < size - 1:
-        value = (F(1) - t) * value + t * rows[first + i + 1, channel]
+    if interpolate and t > F(0) and i < last:
+        value = (F(1) - t) * value + t * table[i + 1, channel]
     return value

@@ -4,6 +4,8 @@ A program is a straight list of instructions over rows of four floats.  An instr
 (operation, destination row, operand rows a b c d e, parameter p).  Rows 0..REGISTERS-1 are registers,
 the rows after them are the constants of all materials.  A scalar fills x, y and z of its row, so that it
 reads as a grey colour or vector as it is.  Operations on closures add to the surface (see `layout`).
+The rarer operations are in `outlined` and are called by address, so that kernels which evaluate
+materials stay small and compile fast.
 """
 
 from __future__ import annotations
@@ -12,7 +14,8 @@ import numpy as np
 
 from ..jit import kernel
 from ..scene import CONSTANT, MaterialTables
-from . import arithmetic, closures, colors, textures
+from . import closures, outlined, textures
+from .colors import luminance
 from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TRANSPARENCY
 
 F = np.float32
@@ -28,26 +31,15 @@ MEAN_VIEW = 2.0
     ATTRIBUTE,  # attribute slot p
     TEXTURE,  # texture p at (a.x, a.y): rgb, alpha in w
     TEXTURE_BOX,  # texture p by box projection of the point a, object-space normal b, blend c.x
-    PROJECT,  # image coordinates of the direction a - 1/2: p 0 sphere, 1 tube
     # -- rows --
     SPLAT,  # component p of a, in x, y, z
     PACK,  # (a.x, b.x, c.x, d.x)
-    # -- arithmetic --
-    MATH,  # scalar function p of a.x, b.x, c.x (arithmetic.SCALAR)
-    VECTOR_MATH,  # vector function p of a, b, c (arithmetic.VECTOR)
+    SCALE,  # a b, per component
     CLAMP,  # a between b and c, per component
     MIX,  # b + a (c - b), per component
     MATRIX,  # rows b, b + 1, b + 2 (translation in w) times a
-    ROTATE_EULER,  # a turned by the angles b, backwards if p
-    ROTATE_AXIS,  # a turned about b by c.x
-    # -- colours --
-    BLEND,  # colours b and c by the factor a.x in mode p (colors.BLEND)
-    COLOR_MODEL,  # a from one colour model to another, p of colors.convert
     LUMINANCE,  # of a
     AVERAGE,  # of a.xyz
-    GAMMA,  # a to the power b.x
-    RAMP,  # table of rows from b at a.x; p = 4 size + 2 extrapolate + interpolate
-    CURVES,  # x, y, z of that table at a.x, a.y, a.z
     # -- the view --
     FRESNEL,  # dielectric Fresnel term for the index of refraction a.x
     FACING,  # 1 - |cosine| ** a.x
@@ -63,14 +55,16 @@ MEAN_VIEW = 2.0
     SHEEN_CLOSURE,  # (weight, roughness) a, tint b; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
     NORMAL_MAP,  # world-space normal a
-) = range(34)
+) = range(25)
 
 
 @kernel
 def new_registers(tables):
     """Scratch rows for `evaluate`: one array per chunk of work, never shared by threads."""
     rows = np.empty((REGISTERS + tables.constants.shape[0], 4), np.float32)
-    rows[REGISTERS:] = tables.constants
+    for i in range(tables.constants.shape[0]):  # an array assignment would compile its broadcasting errors as well
+        for k in range(4):
+            rows[REGISTERS + i, k] = tables.constants[i, k]
     return rows
 
 
@@ -85,27 +79,6 @@ def _box(tables, texture, x, y, z, nx, ny, nz, mix):
             tr, tg, tb, ta = textures.sample(tables.texture_header, tables.texels_u8, tables.texels_f32, texture, u, v)
             r, g, b, a = r + weight * tr, g + weight * tg, b + weight * tb, a + weight * ta
     return r, g, b, a
-
-
-@kernel
-def _ramp(rows, first, p, x):
-    size, extrapolate, interpolate = p >> 2, (p & 2) != 0, (p & 1) != 0
-    return (
-        colors.lookup(rows, first, size, 0, x, interpolate, extrapolate),
-        colors.lookup(rows, first, size, 1, x, interpolate, extrapolate),
-        colors.lookup(rows, first, size, 2, x, interpolate, extrapolate),
-        colors.lookup(rows, first, size, 3, x, interpolate, extrapolate),
-    )
-
-
-@kernel
-def _curves(rows, first, p, x, y, z):
-    size, extrapolate, interpolate = p >> 2, (p & 2) != 0, (p & 1) != 0
-    return (
-        colors.lookup(rows, first, size, 0, x, interpolate, extrapolate),
-        colors.lookup(rows, first, size, 1, y, interpolate, extrapolate),
-        colors.lookup(rows, first, size, 2, z, interpolate, extrapolate),
-    )
 
 
 @kernel
@@ -137,6 +110,11 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
         dx, dy, dz = rows[id_, 0], rows[id_, 1], rows[id_, 2]
         x = y = z = F(0)
         w = F(1)
+        destination = code[at, 1]
+        if op >= outlined.FIRST:
+            at += 1
+            outlined.call(tables.functions, op, p, rows, ia, ib, ic, destination)
+            continue
         if op == ATTRIBUTE:
             x = w0 * attributes[p, triangle, 0, 0] + u * attributes[p, triangle, 1, 0] + v * attributes[p, triangle, 2, 0]
             y = w0 * attributes[p, triangle, 0, 1] + u * attributes[p, triangle, 1, 1] + v * attributes[p, triangle, 2, 1]
@@ -146,16 +124,12 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
             x, y, z, w = textures.sample(tables.texture_header, tables.texels_u8, tables.texels_f32, p, ax, ay)
         elif op == TEXTURE_BOX:
             x, y, z, w = _box(tables, p, ax, ay, az, bx, by, bz, cx)
-        elif op == PROJECT:
-            x, y = textures.to_sphere(ax, ay, az) if p == 0 else textures.to_tube(ax, ay, az)
         elif op == SPLAT:
             x = y = z = rows[ia, p]
         elif op == PACK:
             x, y, z, w = ax, bx, cx, dx
-        elif op == MATH:
-            x = y = z = arithmetic.scalar_math(p, ax, bx, cx)
-        elif op == VECTOR_MATH:
-            x, y, z = arithmetic.vector_math(p, ax, ay, az, bx, by, bz, cx, cy, cz)
+        elif op == SCALE:
+            x, y, z = ax * bx, ay * by, az * bz
         elif op == CLAMP:
             x, y, z = min(max(ax, bx), cx), min(max(ay, by), cy), min(max(az, bz), cz)
         elif op == MIX:
@@ -164,24 +138,10 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
             x = bx * ax + by * ay + bz * az + rows[ib, 3]
             y = rows[ib + 1, 0] * ax + rows[ib + 1, 1] * ay + rows[ib + 1, 2] * az + rows[ib + 1, 3]
             z = rows[ib + 2, 0] * ax + rows[ib + 2, 1] * ay + rows[ib + 2, 2] * az + rows[ib + 2, 3]
-        elif op == ROTATE_EULER:
-            x, y, z = arithmetic.rotate_euler(ax, ay, az, bx, by, bz, p != 0)
-        elif op == ROTATE_AXIS:
-            x, y, z = arithmetic.rotate_axis(ax, ay, az, bx, by, bz, cx)
-        elif op == BLEND:
-            x, y, z = colors.blend(p, ax, bx, by, bz, cx, cy, cz)
-        elif op == COLOR_MODEL:
-            x, y, z = colors.convert(p, ax, ay, az)
         elif op == LUMINANCE:
-            x = y = z = colors.luminance(ax, ay, az)
+            x = y = z = luminance(ax, ay, az)
         elif op == AVERAGE:
             x = y = z = (ax + ay + az) * F(1 / 3)
-        elif op == GAMMA:
-            x, y, z = colors.gamma(ax, bx), colors.gamma(ay, bx), colors.gamma(az, bx)
-        elif op == RAMP:
-            x, y, z, w = _ramp(rows, ib, p, ax)
-        elif op == CURVES:
-            x, y, z = _curves(rows, ib, p, ax, ay, az)
         elif op == FRESNEL:
             x = y = z = closures.dielectric_fresnel(cosine, ax)
         elif op == FACING:
@@ -208,7 +168,6 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
             x, y, z = closures.coat(surface, ax, ay, az, bx, by, bz, dx, dy, dz, cosine)
         elif op == NORMAL_MAP:
             surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2] = ax, ay, az
-        destination = code[at, 1]
         rows[destination, 0], rows[destination, 1], rows[destination, 2], rows[destination, 3] = x, y, z, w
         at += 1
     closures.finish(surface)
@@ -236,4 +195,5 @@ def empty_tables() -> MaterialTables:
         texture_header=np.zeros((1, textures.HEADER), np.int32),
         texels_u8=np.zeros(4, np.uint8),
         texels_f32=np.zeros(4, F),
+        functions=np.zeros(2, np.uint64),
     )

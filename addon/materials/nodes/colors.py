@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ....core.surfaces import outlined
 from ....core.surfaces import program as ops
 from ....core.surfaces.colors import BLEND, HSL_TO_RGB, HSV_TO_RGB, RGB_TO_HSL, RGB_TO_HSV
 from ..builder import ONE, ZERO, Constant, Table, Value, scalar
@@ -18,7 +19,7 @@ def _mixed(node: NodeInput, kind: str, factor: Value, a: Value, b: Value) -> Val
         return a
     if kind == "MIX":
         return b if factor == ONE else node.emit(ops.MIX, factor, a, b)
-    return node.emit(ops.BLEND, factor, a, b, p=BLEND[kind])
+    return node.emit(outlined.BLEND, factor, a, b, p=BLEND[kind])
 
 
 @value("ShaderNodeMix")
@@ -59,7 +60,7 @@ def color_ramp(node: NodeInput, output: str) -> Value:
     size = _TABLE - 1
     rows = _rows(np.array([ramp.evaluate(i / (size - 1)) for i in range(size)]))
     interpolate = ramp.interpolation != "CONSTANT"
-    read = node.emit(ops.RAMP, node["Fac"], rows, p=size * 4 + interpolate)
+    read = node.emit(outlined.RAMP, node["Fac"], rows, p=size * 4 + interpolate)
     return node.splat(read, 3) if output == "Alpha" else read
 
 
@@ -85,9 +86,9 @@ def _curves(node: NodeInput, at: Value, columns: int) -> Value:
     else:
         table = np.array([[*(mapping.evaluate(curves[c], float(x)) for c in range(3)), 1.0] for x in steps])
     if (low, high) != (0.0, 1.0):
-        at = node.emit(ops.VECTOR_MATH, node.vector("SUBTRACT", at, scalar(low)), scalar(high - low), p=ops.arithmetic.VECTOR["DIVIDE"])
+        at = node.vector("DIVIDE", node.vector("SUBTRACT", at, scalar(low)), scalar(high - low))
     extrapolate = mapping.extend == "EXTRAPOLATED"
-    return node.emit(ops.CURVES, at, _rows(table), p=size * 4 + 2 * extrapolate + 1)
+    return node.emit(outlined.CURVES, at, _rows(table), p=size * 4 + 2 * extrapolate + 1)
 
 
 @value("ShaderNodeRGBCurve")
@@ -115,11 +116,11 @@ def float_curve(node: NodeInput, output: str) -> Value:
 def hue_saturation(node: NodeInput, output: str) -> Value:
     """Hue/Saturation/Value."""
     color = node["Color"]
-    hsv = node.emit(ops.COLOR_MODEL, color, p=RGB_TO_HSV)
+    hsv = node.emit(outlined.COLOR_MODEL, color, p=RGB_TO_HSV)
     hue = node.math("FRACT", node.math("ADD", node.math("ADD", node.splat(hsv, 0), node["Hue"]), scalar(0.5)))
     saturation = node.clamp(node.math("MULTIPLY", node.splat(hsv, 1), node["Saturation"]))
     brightness = node.math("MULTIPLY", node.splat(hsv, 2), node["Value"])
-    changed = node.emit(ops.COLOR_MODEL, node.pack(hue, saturation, brightness), p=HSV_TO_RGB)
+    changed = node.emit(outlined.COLOR_MODEL, node.pack(hue, saturation, brightness), p=HSV_TO_RGB)
     return node.vector("MAXIMUM", _mixed(node, "MIX", node["Fac"], color, changed), ZERO)
 
 
@@ -135,7 +136,7 @@ def brightness_contrast(node: NodeInput, output: str) -> Value:
 @value("ShaderNodeGamma")
 def gamma(node: NodeInput, output: str) -> Value:
     """Gamma."""
-    return node.emit(ops.GAMMA, node["Color"], node["Gamma"])
+    return node.emit(outlined.GAMMA, node["Color"], node["Gamma"])
 
 
 @value("ShaderNodeInvert")
@@ -160,7 +161,7 @@ def separate_color(node: NodeInput, output: str) -> Value:
     """Separate Color."""
     color = node["Color"]
     if node.node.mode in _TO_MODEL:
-        color = node.emit(ops.COLOR_MODEL, color, p=_TO_MODEL[node.node.mode])
+        color = node.emit(outlined.COLOR_MODEL, color, p=_TO_MODEL[node.node.mode])
     return node.splat(color, ["Red", "Green", "Blue"].index(output))
 
 
@@ -169,7 +170,7 @@ def combine_color(node: NodeInput, output: str) -> Value:
     """Combine Color."""
     packed = node.pack(node["Red"], node["Green"], node["Blue"], ONE)
     mode = node.node.mode
-    return node.emit(ops.COLOR_MODEL, packed, p=_FROM_MODEL[mode]) if mode in _FROM_MODEL else packed
+    return node.emit(outlined.COLOR_MODEL, packed, p=_FROM_MODEL[mode]) if mode in _FROM_MODEL else packed
 
 
 @value("ShaderNodeSeparateRGB", "ShaderNodeSeparateXYZ", "ShaderNodeSeparateHSV")
@@ -177,7 +178,7 @@ def separate(node: NodeInput, output: str) -> Value:
     """Separate XYZ, and the RGB and HSV ones of older files."""
     whole = node[0]
     if node.node.bl_idname == "ShaderNodeSeparateHSV":
-        whole = node.emit(ops.COLOR_MODEL, whole, p=RGB_TO_HSV)
+        whole = node.emit(outlined.COLOR_MODEL, whole, p=RGB_TO_HSV)
     return node.splat(whole, [s.identifier for s in node.node.outputs].index(output))
 
 
@@ -186,5 +187,5 @@ def combine(node: NodeInput, output: str) -> Value:
     """Combine XYZ, and the RGB and HSV ones of older files."""
     packed = node.pack(node[0], node[1], node[2], ONE)
     if node.node.bl_idname == "ShaderNodeCombineHSV":
-        packed = node.emit(ops.COLOR_MODEL, packed, p=HSV_TO_RGB)
+        packed = node.emit(outlined.COLOR_MODEL, packed, p=HSV_TO_RGB)
     return packed

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ....core.surfaces import outlined, textures
 from ....core.surfaces import program as ops
-from ....core.surfaces import textures
 from ..builder import Constant, Value, scalar
 from ..images import ImageMissing, image_key, load_pixels, lookup_flags
 from ..registry import Unsupported, value
@@ -51,5 +51,5 @@ def _texel(node: NodeInput) -> Value:
         normal = node.program.attribute(NORMAL)
         return node.emit(ops.TEXTURE_BOX, at, normal, scalar(node.node.projection_blend), p=index)
     if projection != "FLAT":
-        at = node.emit(ops.PROJECT, at, p=0 if projection == "SPHERE" else 1)
+        at = node.emit(outlined.PROJECT, at, p=0 if projection == "SPHERE" else 1)
     return node.emit(ops.TEXTURE, at, p=index)

@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 
-from ....core.surfaces import program as ops
+from ....core.surfaces import outlined
 from ..builder import Table, Value, scalar
 from ..registry import value
 from ..tree import NodeInput
@@ -53,7 +53,7 @@ def _wavelength_table() -> Table:
 
 def _looked_up(node: NodeInput, table: Table, at: Value, low: float, high: float) -> Value:
     t = node.math("DIVIDE", node.math("SUBTRACT", at, scalar(low)), scalar(high - low))
-    return node.emit(ops.RAMP, t, table, p=_ROWS * 4 + 1)
+    return node.emit(outlined.RAMP, t, table, p=_ROWS * 4 + 1)
 
 
 @value("ShaderNodeBlackbody")

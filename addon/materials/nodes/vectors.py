@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mathutils
 
+from ....core.surfaces import outlined
 from ....core.surfaces import program as ops
 from ..builder import ONE, ZERO, Constant, Table, Value, scalar
 from ..registry import Unsupported, value
@@ -39,11 +40,11 @@ def mapping(node: NodeInput, output: str) -> Value:
     if all(isinstance(x, Constant) for x in (rotation, scale, location)) and kind != "NORMAL" and 0 not in scale.rgb:
         return _mapping_matrix(node, kind, at, location, rotation, scale)
     if kind == "TEXTURE":
-        turned = node.emit(ops.ROTATE_EULER, node.vector("SUBTRACT", at, location), rotation, p=1)
+        turned = node.emit(outlined.ROTATE_EULER, node.vector("SUBTRACT", at, location), rotation, p=1)
         return node.vector("DIVIDE", turned, scale)
     if kind == "NORMAL":
-        return node.vector("NORMALIZE", node.emit(ops.ROTATE_EULER, node.vector("DIVIDE", at, scale), rotation))
-    turned = node.emit(ops.ROTATE_EULER, node.vector("MULTIPLY", at, scale), rotation)
+        return node.vector("NORMALIZE", node.emit(outlined.ROTATE_EULER, node.vector("DIVIDE", at, scale), rotation))
+    turned = node.emit(outlined.ROTATE_EULER, node.vector("MULTIPLY", at, scale), rotation)
     return node.vector("ADD", turned, location)
 
 
@@ -63,12 +64,12 @@ def vector_rotate(node: NodeInput, output: str) -> Value:
     center = node["Center"]
     at = node.vector("SUBTRACT", node["Vector"], center)
     if kind == "EULER_XYZ":
-        turned = node.emit(ops.ROTATE_EULER, at, node["Rotation"], p=int(invert))
+        turned = node.emit(outlined.ROTATE_EULER, at, node["Rotation"], p=int(invert))
     else:
         axes = {"X_AXIS": Constant(1, 0, 0), "Y_AXIS": Constant(0, 1, 0), "Z_AXIS": Constant(0, 0, 1)}
         axis = axes[kind] if kind in axes else node["Axis"]
         angle = node["Angle"]
-        turned = node.emit(ops.ROTATE_AXIS, at, axis, node.math("SUBTRACT", ZERO, angle) if invert else angle)
+        turned = node.emit(outlined.ROTATE_AXIS, at, axis, node.math("SUBTRACT", ZERO, angle) if invert else angle)
     return node.vector("ADD", turned, center)
 
 

@@ -1,0 +1,194 @@
+"""The glossy lobe of one surface seen from one direction, ready to be evaluated and sampled.
+
+It follows Cycles' microfacet closures (kernel/closure/bsdf_microfacet.h): the GGX lobe times the Fresnel term at
+the half vector, and the light that single scattering loses given back by a factor of the view alone (Kulla and
+Conty 2017, "Revisiting physically based shading at Imageworks").  A lobe is a row of LOBE floats, so that kernels
+keep the lobes of many points in one array.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..jit import inlined, kernel
+from ..sampling.maps import orthonormal_basis
+from . import ggx
+from .microfacet import SMALLEST_ALPHA, sample_reflection, smith_lambda
+
+# Columns: normal, direction to the viewer, its cosine, alpha (below 0: no lobe), reflectance at normal incidence, how
+# much it rises to grazing, index of refraction of the rise (0: Schlick), albedo (mean of the channels).
+NORMAL, VIEWER, COSINE, ALPHA, F0, RISE, IOR, ALBEDO, LOBE = 0, 3, 6, 7, 8, 11, 14, 15, 16
+
+# Lobes with less albedo than this cost nothing.
+NEGLIGIBLE = np.float32(1e-4)
+# Density of a mirror's one direction: any other way of finding it counts for nothing.
+MIRROR = np.float32(1e30)
+
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+_2 = np.float32(2.0)
+_HALF = np.float32(0.5)
+_QUARTER = np.float32(0.25)
+_1_PI = np.float32(1 / math.pi)
+_THIRD = np.float32(1 / 3)
+# Reflectances up to here are dielectrics, which rise as the Fresnel term itself; above, metals, as Schlick's.
+_DIELECTRIC = np.float32(0.1)
+_SCHLICK_MEAN = np.float32(1 / 21)
+_SCHLICK_Z = np.float32(0.2**0.5)  # Schlick's term is that of an index of refraction of 1.5, nearly
+# A lobe gets all of its rays once this times its share of the reflected light is 1.
+_FULL = np.float32(3.0)
+_GRAZING = np.float32(0.01)
+
+
+@inlined
+def specular_normal(nx, ny, nz, gx, gy, gz, ox, oy, oz):
+    """The normal n, bent towards the geometric normal g as far as the mirror image of the view o would lie below g.
+
+    Without it, lobes of interpolated and mapped normals lose their light below the surface; Cycles does the same
+    (kernel/closure/bsdf_util.h, ensure_valid_specular_reflection).
+    """
+    on = ox * nx + oy * ny + oz * nz
+    og = ox * gx + oy * gy + oz * gz
+    ng = nx * gx + ny * gy + nz * gz
+    lowest = min(np.float32(0.9) * og, _GRAZING)
+    if _2 * on * ng - og >= lowest:
+        return nx, ny, nz
+    # In the plane of g and n, with c = cosine of the new normal and g: 2 (o.n') c - o.g = lowest, squared.
+    tx, ty, tz = nx - ng * gx, ny - ng * gy, nz - ng * gz
+    length = np.float32(math.sqrt(tx * tx + ty * ty + tz * tz))
+    if length < np.float32(1e-6):
+        return gx, gy, gz
+    tx, ty, tz = tx / length, ty / length, tz / length
+    ot = ox * tx + oy * ty + oz * tz
+    a = max(ot * ot + og * og, np.float32(1e-12))
+    b = _2 * (a + og * lowest)
+    c = (lowest + og) * (lowest + og)
+    root = np.float32(math.sqrt(max(_0, b * b - np.float32(4.0) * a * c)))
+    c2 = min(max(_QUARTER * (b + root if ot < _0 else b - root) / a, _0), _1)
+    along, aside = np.float32(math.sqrt(c2)), np.float32(math.sqrt(_1 - c2))
+    return aside * tx + along * gx, aside * ty + along * gy, aside * tz + along * gz
+
+
+@kernel
+def set_lobe(row, nx, ny, nz, gx, gy, gz, ox, oy, oz, roughness, f0r, f0g, f0b, f90r, f90g, f90b):
+    """Fill a row with the lobe of a surface: shading and geometric normal n and g and the view o on one side.
+
+    f0, f90: as `layout.GLOSSY_F0` and `GLOSSY_F90`, which hold the mean share that multiple scattering leaves.
+    """
+    row[ALPHA] = -_1
+    row[ALBEDO] = _0
+    highest, grazing = max(f0r, f0g, f0b), max(f90r, f90g, f90b)
+    if not max(highest, grazing) > NEGLIGIBLE:
+        return
+    nx, ny, nz = specular_normal(nx, ny, nz, gx, gy, gz, ox, oy, oz)
+    cosine = min(max(ox * nx + oy * ny + oz * nz, np.float32(1e-4)), _1)
+    ratio = min(max(highest / max(grazing, np.float32(1e-12)), np.float32(1e-4)), _1)
+    if ratio < _DIELECTRIC:
+        root = np.float32(math.sqrt(ratio))
+        ior = (_1 + root) / (_1 - root)
+        z = np.float32(math.sqrt(root))
+        mean_rise = min(max((ggx.dielectric_mean_fresnel(ior) - ratio) / (_1 - ratio), _0), _1)
+    else:
+        ior, z, mean_rise = _0, _SCHLICK_Z, _SCHLICK_MEAN
+    single, mean = ggx.single_scattering(cosine, roughness), ggx.single_scattering_mean(roughness)
+    scale_r = _view_scale(f0r, f90r, mean_rise, single, mean)
+    scale_g = _view_scale(f0g, f90g, mean_rise, single, mean)
+    scale_b = _view_scale(f0b, f90b, mean_rise, single, mean)
+    f0r, f0g, f0b = f0r * scale_r, f0g * scale_g, f0b * scale_b
+    up_r, up_g, up_b = f90r * scale_r - f0r, f90g * scale_g - f0g, f90b * scale_b - f0b
+    s = ggx.fresnel_rise(z, cosine, roughness)
+    albedo = single * _THIRD * (f0r + f0g + f0b + s * (up_r + up_g + up_b))
+    if not albedo > NEGLIGIBLE:
+        return
+    row[NORMAL], row[NORMAL + 1], row[NORMAL + 2] = nx, ny, nz
+    row[VIEWER], row[VIEWER + 1], row[VIEWER + 2] = ox, oy, oz
+    row[COSINE], row[ALPHA] = cosine, max(roughness * roughness, SMALLEST_ALPHA)
+    row[F0], row[F0 + 1], row[F0 + 2] = f0r, f0g, f0b
+    row[RISE], row[RISE + 1], row[RISE + 2] = up_r, up_g, up_b
+    row[IOR], row[ALBEDO] = ior, albedo
+
+
+@inlined
+def _view_scale(f0, f90, mean_rise, single, mean):
+    """Share of light scattered more than once at this view, over the mean share that f0 and f90 hold already."""
+    f = min(f0 / max(f90, np.float32(1e-12)), _1)
+    f += mean_rise * (_1 - f)
+    again = f * mean / (_1 - f * (_1 - mean))
+    return (_1 + again * (_1 - single) / single) / (mean + again * (_1 - mean))
+
+
+@inlined
+def reflection_count(lobe, dr, dg, db, most):
+    """How many of at most `most` rays are drawn from a lobe beside the diffuse albedo (dr, dg, db): by its share of the light."""
+    if not lobe[ALPHA] > _0:
+        return 0
+    share = lobe[ALBEDO] / (lobe[ALBEDO] + _THIRD * (dr + dg + db))
+    return max(np.int64(1), np.int64(math.ceil(np.float32(most) * min(_1, _FULL * share)))) if most > 0 else np.int64(0)
+
+
+@inlined
+def _fresnel_rise(cosine, ior):
+    """How far the Fresnel term has risen from normal to grazing incidence."""
+    c = min(max(cosine, _0), _1)
+    if ior == _0:
+        x = _1 - c
+        x2 = x * x
+        return x2 * x2 * x
+    g = np.float32(math.sqrt(ior * ior - _1 + c * c))
+    a = (g - c) / (g + c)
+    b = (c * (g + c) - _1) / (c * (g - c) + _1)
+    f0 = (ior - _1) / (ior + _1)
+    f0 *= f0
+    return (_HALF * a * a * (_1 + b * b) - f0) / (_1 - f0)
+
+
+@kernel
+def lobe_value(row, dx, dy, dz):
+    """The lobe towards the unit direction d, times the cosine there -> (r, g, b in 1/sr, density of `sample_lobe`).
+
+    Zero for a mirror, which no direction but its own meets.
+    """
+    alpha = row[ALPHA]
+    nx, ny, nz = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
+    cos_d = nx * dx + ny * dy + nz * dz
+    if cos_d <= _0 or alpha <= SMALLEST_ALPHA:
+        return _0, _0, _0, _0
+    hx, hy, hz = row[VIEWER] + dx, row[VIEWER + 1] + dy, row[VIEWER + 2] + dz
+    length2 = max(hx * hx + hy * hy + hz * hz, np.float32(1e-12))
+    cos_h = nx * hx + ny * hy + nz * hz
+    # The sine from the cross product: exact for narrow lobes.
+    sx, sy, sz = ny * hz - nz * hy, nz * hx - nx * hz, nx * hy - ny * hx
+    a2 = alpha * alpha
+    t = (cos_h * cos_h + (sx * sx + sy * sy + sz * sz) / a2) / length2
+    d = _QUARTER * _1_PI / (a2 * t * t * row[COSINE])
+    lambda_o, lambda_d = smith_lambda(row[COSINE], alpha), smith_lambda(cos_d, alpha)
+    rise = _fresnel_rise(_HALF * np.float32(math.sqrt(length2)), row[IOR])
+    w = d / (_1 + lambda_o + lambda_d)
+    return (
+        w * (row[F0] + rise * row[RISE]),
+        w * (row[F0 + 1] + rise * row[RISE + 1]),
+        w * (row[F0 + 2] + rise * row[RISE + 2]),
+        d / (_1 + lambda_o),
+    )
+
+
+@kernel
+def sample_lobe(row, u1, u2):
+    """A direction drawn from the lobe -> (d, r, g, b, density): (r, g, b) = lobe * cosine / density, 0 below the surface."""
+    nx, ny, nz = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
+    tx, ty, tz, bx, by, bz = orthonormal_basis(nx, ny, nz)
+    ox, oy, oz = row[VIEWER], row[VIEWER + 1], row[VIEWER + 2]
+    lx, ly, lz, w = sample_reflection(
+        ox * tx + oy * ty + oz * tz, ox * bx + oy * by + oz * bz, row[COSINE], max(row[ALPHA], SMALLEST_ALPHA), u1, u2
+    )
+    dx, dy, dz = lx * tx + ly * bx + lz * nx, lx * ty + ly * by + lz * ny, lx * tz + ly * bz + lz * nz
+    if not w > _0:
+        return dx, dy, dz, _0, _0, _0, _0
+    if row[ALPHA] <= SMALLEST_ALPHA:
+        rise = _fresnel_rise(row[COSINE], row[IOR])
+        return dx, dy, dz, row[F0] + rise * row[RISE], row[F0 + 1] + rise * row[RISE + 1], row[F0 + 2] + rise * row[RISE + 2], MIRROR
+    r, g, b, density = lobe_value(row, dx, dy, dz)
+    inverse = _1 / max(density, np.float32(1e-20))
+    return dx, dy, dz, r * inverse, g * inverse, b * inverse, density
