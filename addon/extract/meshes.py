@@ -106,7 +106,7 @@ def copy_mesh(mesh: bpy.types.Mesh, wanted: Collection[str], deformed: bool) -> 
         vertices=vertices,
         corners=corners,
         slot=read(slots.data, "value", (len(mesh.polygons),), np.int32)[polygon] if slots else np.zeros(len(corners), np.int32),
-        normals=_normals(mesh, vertices, corners, loops),
+        normals=_normals(mesh, vertices, corners, loops, polygon),
         undeformed=undeformed,
         texture_location=np.array(mesh.texspace_location),
         texture_size=np.array(mesh.texspace_size),
@@ -133,15 +133,31 @@ def _triangulation(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
     return loops, read(mesh.loop_triangle_polygons, "value", (count,), np.int32)
 
 
-def _normals(mesh: bpy.types.Mesh, vertices: np.ndarray, corners: np.ndarray, loops: np.ndarray) -> np.ndarray:
-    """Shading normals as Cycles chooses them: the triangle's own where every face is flat, else by vertex or by corner."""
-    if mesh.normals_domain == "FACE":
-        normals = face_normals(vertices, corners)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        return (normals / np.where(length > 0, length, 1))[:, None]
-    if mesh.normals_domain == "POINT":
-        return read(mesh.vertex_normals, "vector", vertices.shape, np.float32)[corners]
-    return read(mesh.corner_normals, "vector", (len(mesh.loops), 3), np.float32)[loops]
+def _normals(mesh: bpy.types.Mesh, vertices: np.ndarray, corners: np.ndarray, loops: np.ndarray, polygon: np.ndarray) -> np.ndarray:
+    """Shading normals as Cycles chooses them (`create_mesh` of its blender/mesh.cpp).
+
+    A flat face has its triangles' own, the others those of their vertices, or of their corners where
+    edges are sharp or normals are set by hand.  Where flat faces alone make edges sharp, Blender 4 still
+    smooths across them.
+    """
+    domain = mesh.normals_domain
+    if domain == "CORNER" and (bpy.app.version >= (5, 0) or _has_sharp_edges(mesh) or "custom_normal" in mesh.attributes):
+        return read(mesh.corner_normals, "vector", (len(mesh.loops), 3), np.float32)[loops]
+    flat = face_normals(vertices, corners)
+    length = np.linalg.norm(flat, axis=1, keepdims=True)
+    flat = (flat / np.where(length > 0, length, 1))[:, None]
+    if domain == "FACE":
+        return flat
+    smooth = read(mesh.vertex_normals, "vector", vertices.shape, np.float32)[corners]
+    if domain == "POINT":
+        return smooth
+    sharp = read(mesh.attributes["sharp_face"].data, "value", (len(mesh.polygons),), np.bool_)[polygon]
+    return np.where(sharp[:, None, None], flat, smooth)
+
+
+def _has_sharp_edges(mesh: bpy.types.Mesh) -> bool:
+    sharp = mesh.attributes.get("sharp_edge")
+    return sharp is not None and bool(read(sharp.data, "value", (len(mesh.edges),), np.bool_).any())
 
 
 def _layer(attribute: bpy.types.Attribute, index: np.ndarray) -> np.ndarray:

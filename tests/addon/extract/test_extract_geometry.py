@@ -23,6 +23,13 @@ POSES = {
 }
 
 
+def posed(stage, ob, matrix):
+    """An object placed by any matrix, sheared ones included."""
+    ob.parent = stage.link("Parent", None)
+    ob.matrix_parent_inverse = matrix
+    return ob
+
+
 def world_vertices(scene):
     return scene.geometry.vertices.astype(float) + scene.origin
 
@@ -51,8 +58,7 @@ def signed_volume(scene):
 
 @pytest.mark.parametrize("pose", POSES)
 def test_cube_in_every_pose(stage, pose):
-    cube = stage.cube()
-    cube.matrix_world = POSES[pose]
+    cube = posed(stage, stage.cube(), POSES[pose])
     scene = stage.extract()
     g = scene.geometry
     assert g.triangles.shape == (12, 3) and g.vertices.shape == (8, 3)
@@ -69,7 +75,7 @@ def test_cube_in_every_pose(stage, pose):
 def test_smooth_normals_in_every_pose(stage, pose):
     bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32)
     bpy.ops.object.shade_smooth()
-    bpy.context.object.matrix_world = POSES[pose]
+    posed(stage, bpy.context.object, POSES[pose])
     scene = stage.extract()
     g = scene.geometry
     linear = np.array(POSES[pose])[:3, :3]
