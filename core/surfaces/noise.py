@@ -78,105 +78,71 @@ def perlin(dimensions, x, y, z, w):
         return F(0.25) * _mix(_gradient1(hash1(i), fx), _gradient1(hash1(i + 1), fx - F(1)), _fade(fx))
     i, fx = _cell(x)
     j, fy = _cell(y)
+    u, v = _fade(fx), _fade(fy)
     if dimensions == 2:
-        low = _mix(_gradient2(hash2(i, j), fx, fy), _gradient2(hash2(i + 1, j), fx - F(1), fy), _fade(fx))
-        high = _mix(_gradient2(hash2(i, j + 1), fx, fy - F(1)), _gradient2(hash2(i + 1, j + 1), fx - F(1), fy - F(1)), _fade(fx))
-        return F(0.6616) * _mix(low, high, _fade(fy))
+        low = high = F(0)
+        for b in range(2):
+            gy = fy - F(b)
+            row = _mix(_gradient2(hash2(i, j + b), fx, gy), _gradient2(hash2(i + 1, j + b), fx - F(1), gy), u)
+            low, high = high, row
+        return F(0.6616) * _mix(low, high, v)
     k, fz = _cell(z)
+    t = _fade(fz)
     if dimensions == 3:
-        return F(0.982) * _mix(_slice3(i, j, k, fx, fy, fz), _slice3(i, j, k + 1, fx, fy, fz - F(1)), _fade(fz))
+        total = F(0)
+        for corner in range(4):
+            b, c = corner & 1, corner >> 1
+            gy, gz = fy - F(b), fz - F(c)
+            row = _mix(_gradient3(hash3(i, j + b, k + c), fx, gy, gz), _gradient3(hash3(i + 1, j + b, k + c), fx - F(1), gy, gz), u)
+            total += row * (v if b else F(1) - v) * (t if c else F(1) - t)
+        return F(0.982) * total
     n, fw = _cell(w)
-    low = _mix(_slice4(i, j, k, n, fx, fy, fz, fw), _slice4(i, j, k + 1, n, fx, fy, fz - F(1), fw), _fade(fz))
-    fw1 = fw - F(1)
-    high = _mix(_slice4(i, j, k, n + 1, fx, fy, fz, fw1), _slice4(i, j, k + 1, n + 1, fx, fy, fz - F(1), fw1), _fade(fz))
-    return F(0.8344) * _mix(low, high, _fade(fw))
-
-
-@inlined
-def _slice3(i, j, k, fx, fy, fz):
-    u = _fade(fx)
-    low = _mix(_gradient3(hash3(i, j, k), fx, fy, fz), _gradient3(hash3(i + 1, j, k), fx - F(1), fy, fz), u)
-    fy1 = fy - F(1)
-    high = _mix(_gradient3(hash3(i, j + 1, k), fx, fy1, fz), _gradient3(hash3(i + 1, j + 1, k), fx - F(1), fy1, fz), u)
-    return _mix(low, high, _fade(fy))
-
-
-@kernel
-def _slice4(i, j, k, n, fx, fy, fz, fw):
-    u = _fade(fx)
-    low = _mix(_gradient4(hash4(i, j, k, n), fx, fy, fz, fw), _gradient4(hash4(i + 1, j, k, n), fx - F(1), fy, fz, fw), u)
-    fy1 = fy - F(1)
-    high = _mix(_gradient4(hash4(i, j + 1, k, n), fx, fy1, fz, fw), _gradient4(hash4(i + 1, j + 1, k, n), fx - F(1), fy1, fz, fw), u)
-    return _mix(low, high, _fade(fy))
+    s = _fade(fw)
+    total = F(0)
+    for corner in range(16):
+        a, b, c, d = corner & 1, (corner >> 1) & 1, (corner >> 2) & 1, corner >> 3
+        weight = (u if a else F(1) - u) * (v if b else F(1) - v) * (t if c else F(1) - t) * (s if d else F(1) - s)
+        total += weight * _gradient4(hash4(i + a, j + b, k + c, n + d), fx - F(a), fy - F(b), fz - F(c), fw - F(d))
+    return F(0.8344) * total
 
 
 @kernel
 def fractal(kind, normalize, dimensions, x, y, z, w, detail, roughness, lacunarity, offset, gain):
     """A sum of octaves of `perlin`; `kind` indexes FRACTAL_KINDS, `detail` is octaves less one (may be fractional)."""
-    octaves = np.int32(detail)
+    whole = np.int32(detail)
     rest = detail - np.floor(detail)
-    scale = F(1)
-    if kind == FBM:
-        amplitude, most, total = F(1), F(0), F(0)
-        for _ in range(octaves + 1):
-            total += amplitude * perlin(dimensions, scale * x, scale * y, scale * z, scale * w)
-            most += amplitude
-            amplitude *= roughness
-            scale *= lacunarity
-        finer = total
-        if rest != F(0):
-            finer += amplitude * perlin(dimensions, scale * x, scale * y, scale * z, scale * w)
-        if not normalize:
-            return _mix(total, finer, rest)
-        total = F(0.5) * total / most + F(0.5)
-        return _mix(total, F(0.5) * finer / (most + amplitude) + F(0.5), rest) if rest != F(0) else total
-    if kind == MULTIFRACTAL:
-        value, power = F(1), F(1)
-        for _ in range(octaves + 1):
-            value *= power * perlin(dimensions, scale * x, scale * y, scale * z, scale * w) + F(1)
-            power *= roughness
-            scale *= lacunarity
-        if rest != F(0):
-            value *= rest * power * perlin(dimensions, scale * x, scale * y, scale * z, scale * w) + F(1)
-        return value
-    if kind == HETERO:
-        power = roughness
-        value = offset + perlin(dimensions, x, y, z, w)
-        for _ in range(octaves):
-            scale *= lacunarity
-            value += (perlin(dimensions, scale * x, scale * y, scale * z, scale * w) + offset) * power * value
-            power *= roughness
-        if rest != F(0):
-            scale *= lacunarity
-            value += rest * (perlin(dimensions, scale * x, scale * y, scale * z, scale * w) + offset) * power * value
-        return value
-    if kind == HYBRID:
-        power, value, weight = F(1), F(0), F(1)
-        for _ in range(octaves + 1):
+    scale, power, weight, signal, most = F(1), F(1), F(1), F(0), F(0)
+    value = F(1) if kind == MULTIFRACTAL else F(0)
+    for i in range(whole + (2 if rest != F(0) and kind != RIDGED else 1)):
+        # `share` of this octave: the last one may count in part.
+        share = rest if i > whole else F(1)
+        n = perlin(dimensions, scale * x, scale * y, scale * z, scale * w)
+        scale *= lacunarity
+        if kind == FBM:
+            finer = value + power * n
+            if share == F(1):
+                value = finer
+                most += power
+            elif normalize:
+                return _mix(F(0.5) * value / most + F(0.5), F(0.5) * finer / (most + power) + F(0.5), share)
+            else:
+                return _mix(value, finer, share)
+        elif kind == MULTIFRACTAL:
+            value *= share * power * n + F(1)
+        elif kind == HETERO:
+            value += offset + n if i == 0 else share * (n + offset) * power * value
+        elif kind == HYBRID:
             if not weight > F(0.001):
                 break
-            weight = min(weight, F(1))
-            signal = (perlin(dimensions, scale * x, scale * y, scale * z, scale * w) + offset) * power
-            power *= roughness
-            value += weight * signal
-            weight *= gain * signal
-            scale *= lacunarity
-        if rest != F(0) and weight > F(0.001):
-            signal = (perlin(dimensions, scale * x, scale * y, scale * z, scale * w) + offset) * power
-            value += rest * min(weight, F(1)) * signal
-        return value
-    power = roughness
-    signal = offset - abs(perlin(dimensions, x, y, z, w))
-    signal *= signal
-    value = signal
-    for _ in range(octaves):
-        scale *= lacunarity
-        weight = min(max(signal * gain, F(0)), F(1))
-        signal = offset - abs(perlin(dimensions, scale * x, scale * y, scale * z, scale * w))
-        signal *= signal * weight
-        value += signal * power
+            signal = (n + offset) * power
+            value += share * min(weight, F(1)) * signal
+            weight = min(weight, F(1)) * gain * signal
+        else:
+            weight = min(max(signal * gain, F(0)), F(1)) if i > 0 else F(1)
+            signal = (offset - abs(n)) ** 2 * weight
+            value += signal * power
         power *= roughness
-    return value
+    return F(0.5) * value / most + F(0.5) if kind == FBM and normalize else value
 
 
 @inlined
@@ -187,10 +153,11 @@ def _shift(dimensions, seed, axis):
     return F(100) + F(100) * float2(seed, F(axis))
 
 
-@inlined
-def _shifted_perlin(dimensions, x, y, z, w, seed):
+@kernel
+def _shifted(dimensions, seed, x, y, z, w):
+    """The point moved to where the noise of channel `seed` is taken."""
     last = _shift(dimensions, seed, 3)
-    return perlin(dimensions, x + _shift(dimensions, seed, 0), y + _shift(dimensions, seed, 1), z + _shift(dimensions, seed, 2), w + last)
+    return x + _shift(dimensions, seed, 0), y + _shift(dimensions, seed, 1), z + _shift(dimensions, seed, 2), w + last
 
 
 @kernel
@@ -199,29 +166,30 @@ def noise_texture(kind, normalize, dimensions, x, y, z, w, detail, roughness, la
     detail = min(max(detail, F(0)), F(15))
     roughness = max(roughness, F(0))
     if distortion != F(0):
-        dx = _shifted_perlin(dimensions, x, y, z, w, F(0))
-        dy = dz = dw = F(0)
+        d0 = d1 = d2 = d3 = F(0)
+        for axis in range(dimensions):
+            px, py, pz, pw = _shifted(dimensions, F(axis), x, y, z, w)
+            d0, d1, d2, d3 = d1, d2, d3, perlin(dimensions, px, py, pz, pw)
+        # The last one computed is d3: with n dimensions the first axis is in d(4 - n).
         if dimensions == 1:
-            dw = dx
+            w += distortion * d3
+        elif dimensions == 2:
+            x, y = x + distortion * d2, y + distortion * d3
+        elif dimensions == 3:
+            x, y, z = x + distortion * d1, y + distortion * d2, z + distortion * d3
         else:
-            dy = _shifted_perlin(dimensions, x, y, z, w, F(1))
-        if dimensions > 2:
-            dz = _shifted_perlin(dimensions, x, y, z, w, F(2))
-        if dimensions > 3:
-            dw = _shifted_perlin(dimensions, x, y, z, w, F(3))
-        x, y, z, w = x + distortion * dx, y + distortion * dy, z + distortion * dz, w + distortion * dw
-    r = fractal(kind, normalize, dimensions, x, y, z, w, detail, roughness, lacunarity, offset, gain)
-    g = b = r
-    if colored:
-        # The seeds after those of the distortion.
-        first = F(max(dimensions, 1))
-        for channel in range(2):
-            seed = first + F(channel)
-            px, py = x + _shift(dimensions, seed, 0), y + _shift(dimensions, seed, 1)
-            pz, pw = z + _shift(dimensions, seed, 2), w + _shift(dimensions, seed, 3)
-            value = fractal(kind, normalize, dimensions, px, py, pz, pw, detail, roughness, lacunarity, offset, gain)
-            if channel == 0:
-                g = value
-            else:
-                b = value
+            x, y, z, w = x + distortion * d0, y + distortion * d1, z + distortion * d2, w + distortion * d3
+    r = g = b = F(0)
+    for channel in range(3 if colored else 1):
+        px, py, pz, pw = x, y, z, w
+        if channel > 0:
+            # The seeds after those of the distortion.
+            px, py, pz, pw = _shifted(dimensions, F(dimensions + channel - 1), x, y, z, w)
+        value = fractal(kind, normalize, dimensions, px, py, pz, pw, detail, roughness, lacunarity, offset, gain)
+        if channel == 0:
+            r = value
+        elif channel == 1:
+            g = value
+        else:
+            b = value
     return r, g, b
