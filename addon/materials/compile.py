@@ -12,8 +12,9 @@ from ...core.surfaces import program as ops
 from ...core.surfaces.layout import EMISSION, GLOSSY_F0, SURFACE, TRANSPARENCY
 from ...core.surfaces.textures import TexturePool
 from . import nodes, registry  # noqa: F401  (importing `nodes` fills the registry)
+from .bake import Baker
 from .builder import ONE, ZERO, Constant, Program, TooComplex, run
-from .requests import CompiledMaterials, MaterialUse
+from .requests import BAKED, CompiledMaterials, MaterialUse
 from .tree import Context, Scope
 
 _DEFAULT_GREY = Constant(0.8, 0.8, 0.8)
@@ -25,21 +26,23 @@ def compile_materials(uses: Sequence[MaterialUse]) -> CompiledMaterials:
     """Tables of the materials of `uses`, in their order."""
     textures = TexturePool()
     warnings: list[str] = []
-    programs = [_program(use, textures, warnings) for use in uses]
+    baked_uvs: dict[str, dict[str, np.ndarray]] = {}
+    programs = [_program(use, textures, warnings, baked_uvs) for use in uses]
     names = [use.material.name if use.material else "" for use in uses]
     tables = _link(programs, names, textures, warnings)
     requests = [list(p.requests) for p in programs]
-    return CompiledMaterials(scene.Materials(names, tables), requests, warnings)
+    return CompiledMaterials(scene.Materials(names, tables), requests, warnings, baked_uvs)
 
 
-def _program(use: MaterialUse, textures: TexturePool, warnings: list[str]) -> Program:
+def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked_uvs: dict) -> Program:
     program = Program()
     material = use.material
     if material is None or not _uses_nodes(material):
         color = _DEFAULT_GREY if material is None else Constant(*material.diffuse_color)
         program.emit(ops.DIFFUSE_CLOSURE, color, ZERO, ZERO, ONE)
         return program
-    context = Context(material, program, textures, warnings, use.objects)
+    baker = Baker(material, use.objects)
+    context = Context(material, program, textures, warnings, baker, use.objects)
     output = material.node_tree.get_output_node("CYCLES") or material.node_tree.get_output_node("ALL")
     if output is None:
         return program
@@ -48,6 +51,8 @@ def _program(use: MaterialUse, textures: TexturePool, warnings: list[str]) -> Pr
     except registry.Unsupported as reason:
         context.warn(f"{reason}; the material is shown in its viewport colour")
         return _viewport_color(material)
+    if any(r.kind == BAKED for r in program.requests):
+        baked_uvs[material.name_full] = baker.uvs()
     if output.inputs["Volume"].is_linked:
         context.warn("its volume is left out")
     if output.inputs["Displacement"].is_linked:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ...core.surfaces import outlined
+from ...core.surfaces import outlined, textures
 from ...core.surfaces import program as ops
 from ...core.surfaces.arithmetic import SCALAR, VECTOR
-from ...core.surfaces.textures import TexturePool
 from . import registry
+from .bake import Baker
 from .builder import ONE, ZERO, Constant, Program, Value, scalar
+from .requests import BAKED
 
 if TYPE_CHECKING:
     import bpy
@@ -24,8 +25,9 @@ class Context:
 
     material: bpy.types.Material
     program: Program
-    textures: TexturePool
+    textures: textures.TexturePool
     warnings: list[str]
+    baker: Baker
     objects: tuple[bpy.types.Object, ...] = ()
     memory: dict = field(default_factory=dict)
 
@@ -98,10 +100,26 @@ class Scope:
         memory = self.context.memory
         if key not in memory:
             function = registry.VALUES.get(node.bl_idname)
-            if function is None:
-                raise registry.Unsupported(f"node '{node.name}' ({node.bl_label}) is not known")
-            memory[key] = function(NodeInput(self, node), socket.identifier)
+            try:
+                if function is None:
+                    raise registry.Unsupported(f"node '{node.name}' ({node.bl_label}) is not known")
+                memory[key] = function(NodeInput(self, node), socket.identifier)
+            except registry.Unsupported as reason:
+                memory[key] = self._baked(socket, reason)
         return memory[key]
+
+    def _baked(self, socket: bpy.types.NodeSocket, reason: registry.Unsupported) -> Value:
+        """The socket's colour from a texture that Cycles bakes."""
+        context = self.context
+        try:
+            pixels = context.baker.bake(self, socket)
+        except registry.Unsupported as obstacle:
+            raise registry.Unsupported(f"{reason}, and it cannot be baked: {obstacle}") from None
+        context.warn(f"{reason}; its output '{socket.name}' was baked by Cycles")
+        key = "baked", context.material.name_full, self.path, socket.node.name, socket.identifier
+        texture = context.textures.add(key, lambda: pixels, textures.EXTEND, textures.LINEAR, 0)
+        at = context.program.attribute(BAKED, context.material.name_full)
+        return context.program.emit(ops.TEXTURE, at, p=texture)
 
     def _converted(self, value: Value, source: str, target: str) -> Value:
         emit = self.context.program.emit
