@@ -5,18 +5,21 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from .denoise import Denoiser
 from .errors import SceneError
 from .inspection import foresee
 from .jit import CompileTimer
 from .lamps import build_emitters, direct_irradiance, world_tables
 from .layers import Layers
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
+from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
+from .particles import Vpls
 from .rays import RayScene
-from .scene import TRANSPARENT, Scene, Skipped
+from .scene import POINT, SPOT, TRANSPARENT, Scene, Skipped
 from .settings import RenderSettings
 from .threads import Cancelled, thread_count
 from .transport import Transport, transport
@@ -26,6 +29,8 @@ from .vpl_pool import vpl_pool
 
 # progress(stage, fraction) -> True to go on, False to cancel.
 StageProgress = Callable[[str, float], bool]
+
+SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
 
 
 @dataclass
@@ -72,6 +77,8 @@ def render(
     method = _method(settings)
     run = _Run(progress)
     run.seconds["extraction"] = extraction_seconds
+    if settings.time_budget is not None or settings.target_error is not None:
+        run.warnings.append(f"{method} has no error estimate: the time budget and the target error are not used; set --vpls instead")
     begin = time.perf_counter()
     threads = thread_count(settings.threads)
     with run.stage("rays"):
@@ -89,15 +96,24 @@ def render(
             run.rays["primary"] = seen.rays
         points = seen.points
         with run.stage("direct") as tick:
-            direct, rays = direct_irradiance(tables, points, settings.direct_samples, settings.seed, threads, tick)
-            run.rays["shadow"] += rays
-        indirect, vpls = _indirect(run, tables, points, settings, method, threads)
+            direct = _direct(run, scene, tables, points, settings, threads, tick)
+        indirect, vpls = _indirect(run, tables, points, settings, threads)
+        debug = single_lights(tables, vpls, points, seen.shape, threads) if settings.debug_layers else {}
     layers = compose(seen, direct, indirect, scene)
+    if settings.denoise:
+        with run.stage("denoise"):
+            denoise(layers, threads, run.warnings)
+    if settings.debug_layers:
+        layers.update(debug)
+    if settings.layers is not None:
+        for name in [name for name in layers if name not in settings.layers]:
+            del layers[name]
+            run.skipped.append(Skipped("layers", f"{name} was not asked for"))
     run.seconds["jit"] = run.seconds.get("jit", 0.0)
     stats = {
         "method": method,
         "size": [seen.shape[1], seen.shape[0]],
-        "vpls": vpls,
+        "vpls": len(vpls.bounce),
         "bounces": settings.bounces,
         "threads": threads,
         "seconds": run.seconds,
@@ -117,17 +133,28 @@ def _method(settings: RenderSettings) -> str:
     raise SceneError(f"method {settings.method!r} is not available; use instant-radiosity or auto")
 
 
-def _indirect(
-    run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, method: str, threads: int
-) -> tuple[np.ndarray, int]:
-    """Indirect irradiance at the points (N, 3), and the number of VPLs used."""
+def _direct(run: _Run, scene: Scene, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, tick) -> np.ndarray:
+    """Direct irradiance at the points (N, 3)."""
+    by_maps = np.zeros((len(points.pixel), 3), np.float32)
+    if settings.visibility == "shadow-maps" and len(point_lamps(tables.emitters)):
+        by_maps, rays = direct_by_maps(tables, points, seed=settings.seed, threads=threads)
+        run.rays["shadow"] += rays
+        others = scene.lamps.take(~np.isin(scene.lamps.kind, (POINT, SPOT)))
+        tables = tables._replace(emitters=build_emitters(replace(scene, lamps=others)))
+    by_rays, rays = direct_irradiance(tables, points, settings.direct_samples, settings.seed, threads, tick)
+    run.rays["shadow"] += rays
+    return by_maps + by_rays
+
+
+def _indirect(run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> tuple[np.ndarray, Vpls]:
+    """Indirect irradiance at the points (N, 3), and the VPLs that it came from."""
     nothing = np.zeros((len(points.pixel), 3), np.float32)
     if settings.bounces < 1 or settings.vpls < 1:
         run.skipped.append(Skipped("vpls", "no bounces or no VPLs asked for"))
-        return nothing, 0
+        return nothing, Vpls.allocate(0)
     if not points.albedo.any():
         run.skipped.append(Skipped("vpls", "every visible albedo is black"))
-        return nothing, 0
+        return nothing, Vpls.allocate(0)
     with run.stage("vpls") as tick:
         vpls, counts = vpl_pool(tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick)
         run.rays["light"] += counts["light"]
@@ -136,17 +163,20 @@ def _indirect(
             run.skipped.append(Skipped("vpls", f"{counts['useless']} of {counts['traced']} VPLs lie behind every visible point"))
     if len(vpls.bounce) == 0:
         run.skipped.append(Skipped("vpls", "no lamp's light reaches a surface"))
-        return nothing, 0
+        return nothing, Vpls.allocate(0)
     with run.stage("indirect") as tick:
-        compensation = settings.gather if settings.compensation and settings.visibility == "rays" else 0
-        solver = InstantRadiosity(
-            visibility=settings.visibility, compensation=compensation, bounces=settings.bounces, seed=settings.seed, threads=threads
-        )
+        if settings.visibility == "shadow-maps":
+            solver = ShadowMappedRadiosity(seed=settings.seed, threads=threads)
+        else:
+            compensation = settings.gather if settings.compensation and settings.visibility == "rays" else 0
+            solver = InstantRadiosity(
+                visibility=settings.visibility, compensation=compensation, bounces=settings.bounces, seed=settings.seed, threads=threads
+            )
         solver.prepare(tables, vpls, points)
         irradiance = solver.irradiance(points, tick)
         run.rays["shadow"] += solver.rays
         run.pairs += solver.pairs
-    return irradiance, len(vpls.bounce)
+    return irradiance, vpls
 
 
 def splat(points: ShadingPoints, irradiance: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -188,3 +218,29 @@ def compose(seen: View, direct: np.ndarray, indirect: np.ndarray, scene: Scene) 
         offset=(camera.border[0], camera.border[1]),
         full_size=(camera.width, camera.height),
     )
+
+
+def denoise(layers: Layers, threads: int, warnings: list[str]) -> None:
+    """Denoise the indirect light in place, free of albedo, so that textures and edges stay as sharp as they were."""
+    denoiser = Denoiser()
+    if denoiser.warning:
+        warnings.append(denoiser.warning)
+    albedo = layers["Albedo"]
+    clean = denoiser.denoise(
+        layers["Irradiance"], albedo, layers["Normal"], position=layers["Position"], preserve_mean=True, threads=threads
+    )
+    denoiser.close()
+    layers["Irradiance"] = np.where(albedo > 0, clean, np.float32(0))
+    layers["DiffuseIndirect"] = layers["Irradiance"] * albedo * np.float32(1 / np.pi)
+    layers["Indirect"] = layers["DiffuseIndirect"] + layers["GlossyIndirect"]
+    layers["Combined"] = layers["Direct"] + layers["Indirect"] + layers["Emission"]
+
+
+def single_lights(tables: Transport, vpls: Vpls, points: ShadingPoints, shape: tuple[int, int], threads: int) -> dict[str, np.ndarray]:
+    """Debug layers: the light of the strongest VPLs, one by one."""
+    found = {}
+    for rank, j in enumerate(np.argsort(-vpls.flux.mean(axis=1), kind="stable")[:SINGLE_LIGHTS]):
+        solver = InstantRadiosity(compensation=0, threads=threads)
+        solver.prepare(tables, vpls.take([j]), points)
+        found[f"VPL{rank}"] = splat(points, solver.irradiance(points), shape)
+    return found

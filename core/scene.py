@@ -110,6 +110,11 @@ class Lamps:
     def __len__(self) -> int:
         return len(self.kind)
 
+    def take(self, mask: np.ndarray) -> Lamps:
+        """The lamps where `mask` (L,) bool is set."""
+        arrays = {n: v[mask] if isinstance(v, np.ndarray) else [x for x, keep in zip(v, mask) if keep] for n, v in vars(self).items()}
+        return Lamps(**arrays)
+
     @staticmethod
     def empty() -> Lamps:
         """No lamps."""

@@ -1,0 +1,1 @@
+"""Shadow maps: visibility of many points from one, read from depths instead of traced."""

@@ -1,0 +1,157 @@
+"""Instant radiosity against closed forms: the energy must be right before anything is tuned."""
+
+import numpy as np
+import pytest
+
+from lumigate.core import scene as sc
+from lumigate.core.lamps import build_emitters
+from lumigate.core.methods.instant_radiosity import InstantRadiosity, clamp_of
+from lumigate.core.particles import Vpls, trace_particles
+from lumigate.core.pipeline import render
+from lumigate.core.rays import RayScene
+from lumigate.core.settings import RenderSettings
+from lumigate.core.transport import transport
+from lumigate.core.view.points import ShadingPoints
+
+
+def shading_points(position, normal):
+    """Grey points on given positions and normals."""
+    n = len(position)
+    points = ShadingPoints.allocate(n)
+    for field in points:
+        field[...] = 0
+    points.position[:] = position
+    points.ng[:] = points.ns[:] = points.wo[:] = normal
+    points.error[:] = 1e-6
+    points.pixel[:] = np.arange(n)
+    points.albedo[:] = 0.5
+    return points
+
+
+def tables_of(scene):
+    """The transport tables of an array scene, and the ray scene that must outlive them."""
+    rays = RayScene(scene.geometry.vertices, scene.geometry.triangles)
+    return transport(scene.geometry, scene.materials.tables, rays.tables, build_emitters(scene)), rays
+
+
+@pytest.fixture(scope="module")
+def sphere(build):
+    """A closed sphere, radiance 1 W/m^2/sr, albedo 0.5, seen from its middle."""
+    return build.scene(build.geometry(*build.icosphere(4)), build.materials((0.5, 1.0)), camera=build.camera(width=8, height=8))
+
+
+@pytest.mark.parametrize("bounces", [1, 2, 4, 32])
+def test_sphere_interior(sphere, bounces):
+    # Every point of the wall sees radiance 1 everywhere: direct pi, and rho^k pi more after k bounces.
+    settings = RenderSettings(vpls=1024, bounces=bounces, pixel_samples=4, direct_samples=64, seed=3)
+    layers = render(sphere, settings).layers
+    expected = np.pi * sum(0.5**k for k in range(1, bounces + 1))
+    assert layers["Irradiance"].mean() == pytest.approx(expected, rel=0.005)
+    assert layers["Direct"].mean() * np.pi / 0.5 == pytest.approx(np.pi, rel=0.005)
+
+
+def test_layers_add_up(sphere):
+    layers = render(sphere, RenderSettings(vpls=64, pixel_samples=4)).layers
+    total = layers["Direct"] + layers["Indirect"] + layers["Emission"]
+    assert np.allclose(layers["Combined"], total, rtol=1e-6)
+    assert np.allclose(layers["Indirect"], layers["DiffuseIndirect"] + layers["GlossyIndirect"], rtol=1e-6)
+
+
+def parallel_squares_form_factor(side, distance):
+    """Form factor of two aligned parallel squares (Howell, Catalog of Radiation Heat Transfer, C-11)."""
+    x = side / distance
+    s = np.sqrt(1 + x * x)
+    return 2 / (np.pi * x * x) * (np.log(np.sqrt((1 + x * x) ** 2 / (1 + 2 * x * x))) + 2 * x * s * np.arctan(x / s) - 2 * x * np.arctan(x))
+
+
+@pytest.mark.parametrize("distance", [0.5, 2.0])
+def test_two_parallel_patches(build, distance):
+    # The lower patch shines (and is black), the upper one returns rho of what it receives: one bounce.
+    lower = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+    upper = [(0, 1, distance), (1, 1, distance), (1, 0, distance), (0, 0, distance)]
+    scene = build.scene(build.geometry(*build.quads(lower, upper), material=[0, 0, 1, 1]), build.materials((0.0, 1.0), (0.8, 0.0)))
+    tables, rays = tables_of(scene)
+    with rays:
+        vpls, _ = trace_particles(tables, 1 << 12, 1, seed=1)
+        u = (np.stack(np.meshgrid(np.arange(16), np.arange(16)), -1).reshape(-1, 2) + 0.5) / 16
+        points = shading_points(np.column_stack([u, np.zeros(len(u))]), (0, 0, 1))
+        solver = InstantRadiosity(bounces=1, compensation=64, seed=5)
+        solver.prepare(tables, vpls, points)
+        got = solver.irradiance(points)[:, 0].mean()
+    m = 96
+    w = (np.arange(m) + 0.5) / m
+    gx, gy = np.meshgrid(w, w, indexing="ij")
+    down = np.array([patch_irradiance(x, y, distance) for x, y in zip(gx.ravel()[::37], gy.ravel()[::37])])
+    assert down.mean() == pytest.approx(np.pi * parallel_squares_form_factor(1, distance), rel=0.01)
+    # Mean over the lower patch: the integral over the upper one of rho E(y) F(y -> lower), with F = E(y) / pi.
+    every = np.array([patch_irradiance(x, y, distance) for x, y in zip(gx.ravel(), gy.ravel())])
+    assert got == pytest.approx(0.8 * (every * every / np.pi).mean(), rel=0.005)
+
+
+def patch_irradiance(x, y, h):
+    """Irradiance at (x, y, h) facing down, from a unit square at z = 0 of radiance 1 (sum of four corner squares)."""
+
+    def corner(a, b):
+        a, b = abs(a) / h, abs(b) / h
+        p, q = np.sqrt(1 + a * a), np.sqrt(1 + b * b)
+        return (a / p * np.arctan(b / p) + b / q * np.arctan(a / q)) / 2
+
+    return sum(np.sign(a) * np.sign(b) * corner(a, b) for a in (x, 1 - x) for b in (y, 1 - y))
+
+
+def test_compensation_gives_back_what_the_clamp_takes(build):
+    # A corner: floor and wall meet; without compensation the clamp darkens it, with it the sum is the unclamped one.
+    floor = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+    wall = [(0, 0, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1)]
+    lamps = sc.Lamps.empty()
+    lamps = sc.Lamps(
+        np.array([sc.POINT], np.int32), np.array([[0.8, 0.5, 0.8]], np.float32), np.eye(3, dtype=np.float32)[None], np.ones((1, 3), np.float32),
+        np.zeros(1, np.float32), np.zeros(1, np.uint8), np.zeros(1, np.float32), np.zeros(1, np.float32), np.zeros((1, 2), np.float32),
+        np.zeros(1, np.int32), np.full(1, sc.ALL_RAYS, np.uint8), np.ones(1, np.uint8), ["Lamp"], [""],
+    )  # fmt: skip
+    scene = build.scene(build.geometry(*build.quads(floor, wall)), build.materials((0.7, 0.0)), lamps=lamps)
+    tables, rays = tables_of(scene)
+    x = np.geomspace(0.003, 0.9, 64)
+    points = shading_points(np.column_stack([x, np.full(64, 0.5), np.zeros(64)]), (0, 0, 1))
+    with rays:
+        vpls, _ = trace_particles(tables, 1 << 13, 1, seed=2)
+        few, _ = trace_particles(tables, 1 << 9, 1, seed=2)
+        few = vpls.take(slice(0, None, 32))
+        few.flux[:] *= 32
+        with_, without, exact = (
+            InstantRadiosity(bounces=1, compensation=512, seed=1),
+            InstantRadiosity(bounces=1, compensation=0, seed=1),
+            InstantRadiosity(bounces=1, compensation=4096, seed=9),
+        )
+        for solver, lights in ((with_, few), (without, few), (exact, vpls)):
+            solver.prepare(tables, lights, points)
+        a, b, c = (solver.irradiance(points)[:, 0] for solver in (with_, without, exact))
+    near = x < 0.05
+    assert b[near].mean() < 0.9 * c[near].mean()
+    assert a[near].mean() == pytest.approx(c[near].mean(), rel=0.03)
+    assert a.mean() == pytest.approx(c.mean(), rel=0.02)
+
+
+def test_same_bits_for_any_number_of_threads(sphere):
+    a, b = (render(sphere, RenderSettings(vpls=128, pixel_samples=4, threads=threads, seed=7)).layers for threads in (1, 3))
+    assert all(np.array_equal(a[name], b[name]) for name in a)
+
+
+def test_seeds_differ_and_agree_in_the_mean(sphere):
+    a, b = (render(sphere, RenderSettings(vpls=256, pixel_samples=4, seed=seed)).layers["DiffuseIndirect"] for seed in (1, 2))
+    assert not np.array_equal(a, b)
+    assert a.mean() == pytest.approx(b.mean(), rel=0.01)
+
+
+def test_no_light_and_no_albedo_are_skipped_not_computed(build):
+    dark = build.scene(build.geometry(*build.icosphere(1)), build.materials((0.5, 0.0)))
+    black = build.scene(build.geometry(*build.icosphere(1)), build.materials((0.0, 1.0)))
+    for scene in (dark, black):
+        result = render(scene, RenderSettings(vpls=64, pixel_samples=1))
+        assert not result.layers["Indirect"].any()
+        assert any(s["stage"] == "vpls" for s in result.stats["skipped"])
+        assert result.stats["rays"]["light"] < 5000
+
+
+def test_clamp_without_light_is_no_clamp():
+    assert clamp_of(Vpls.allocate(0), shading_points(np.zeros((1, 3)), (0, 0, 1))) == np.inf

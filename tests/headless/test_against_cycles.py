@@ -1,0 +1,84 @@
+"""Our layers against Cycles' on the sample scenes: a wrong factor of 3 % anywhere fails.
+
+References are rendered on the spot, in two independent halves, and cached by content.  Every threshold is the
+stated bound plus what the halves' own difference says about the reference's noise.
+"""
+
+import numpy as np
+import pytest
+
+from lumigate import sample_scenes
+from lumigate.addon.extract import extract_scene
+from lumigate.core import metrics
+from lumigate.core.layers import Layers
+from lumigate.core.pipeline import render
+from lumigate.core.settings import RenderSettings
+from lumigate.headless.cache import cached_halves, scene_identity
+
+# name: size, samples a pixel of each half, bound on |bias|
+SCENES = {"cornell": ((64, 64), 128, 0.01), "corridor": ((80, 45), 256, 0.015), "atrium": ((80, 45), 192, 0.02)}
+SETTINGS = RenderSettings(method="instant-radiosity", vpls=4096, bounces=4, seed=1)
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def pair(request):
+    """(ours, half a, half b, bound) of a scene."""
+    size, samples, bound = SCENES[request.param]
+    parameters = {"detail": "low"}
+    scene = sample_scenes.build(request.param, **parameters)
+    halves = cached_halves(scene, scene_identity(request.param, parameters), size=size, spp=samples, bounces=4, seed=11)
+    ours = render(extract_scene(scene, size=size), SETTINGS).layers
+    return ours, *halves, bound
+
+
+def mean(a: Layers, b: Layers, name: str) -> np.ndarray:
+    """Mean of the two halves of a reference."""
+    return (a[name].astype(np.float64) + b[name]) / 2
+
+
+def bias_and_noise(ours, a, b, name):
+    """Relative error of the mean, and the standard error that the halves leave in the reference's mean."""
+    reference = mean(a, b, name)
+    difference = (a[name].astype(np.float64) - b[name]).mean(axis=-1)
+    noise = difference.std() / 2 / np.sqrt(difference.size) / reference.mean()
+    return ours[name].mean() / reference.mean() - 1, noise
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["DiffuseIndirect", "Direct", "Combined"])
+def test_energy(pair, name):
+    ours, a, b, bound = pair
+    bias, noise = bias_and_noise(ours, a, b, name)
+    assert noise < bound, "the reference is too noisy to tell"
+    assert abs(bias) < bound + 2 * noise
+
+
+@pytest.mark.slow
+def test_pixels_align(pair):
+    ours, a, b, _ = pair
+    # A shift by half a pixel multiplies this error; both sides are noise-free but for their edges' samples.
+    shifted = np.roll(mean(a, b, "Albedo"), 1, axis=1)
+    error = metrics.relmse(ours["Albedo"], mean(a, b, "Albedo").astype(np.float32))
+    assert error < 0.01
+    assert error < 0.2 * metrics.relmse(shifted.astype(np.float32), mean(a, b, "Albedo").astype(np.float32))
+
+
+@pytest.mark.slow
+def test_error_is_small(pair):
+    ours, a, b, _ = pair
+    assert metrics.net_relmse(ours["DiffuseIndirect"], a["DiffuseIndirect"], b["DiffuseIndirect"]) < 0.03
+
+
+@pytest.mark.slow
+def test_more_vpls_less_error():
+    # Instant radiosity without noise of its own: the error falls with the number of lights, here by 3 from 256 to 4096.
+    scene = sample_scenes.build("cornell", detail="low")
+    arrays = extract_scene(scene, size=(32, 32))
+
+    def picture(vpls, seed):
+        return render(arrays, RenderSettings(vpls=vpls, bounces=4, seed=seed, gather=64)).layers["DiffuseIndirect"].astype(np.float64)
+
+    exact = np.mean([picture(16384, seed) for seed in (100, 101)], axis=0).astype(np.float32)
+    few, many = (np.mean([metrics.relmse(picture(n, seed).astype(np.float32), exact) for seed in (1, 2, 3)]) for n in (256, 4096))
+    assert many < few / 3
+    assert many < 0.01
