@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _SIDE, _LARGEST_SIDE = 1024, 4096
 _SAMPLES = 4
+_MARGIN = 2  # texels: enough for linear interpolation, and less than what would reach the next cell's polygon
 _UV = "lumigate bake"
 
 
@@ -209,7 +210,7 @@ def _bake_object(scene: bpy.types.Scene, ob: bpy.types.Object, clear: bool) -> N
     with bpy.context.temp_override(scene=scene, view_layer=layer, object=ob, active_object=ob, selected_objects=[ob]):
         layer.objects.active = ob
         ob.select_set(True, view_layer=layer)
-        bpy.ops.object.bake(type="EMIT", margin=8, margin_type="EXTEND", use_clear=clear, uv_layer=_UV, target="IMAGE_TEXTURES")
+        bpy.ops.object.bake(type="EMIT", margin=_MARGIN, margin_type="EXTEND", use_clear=clear, uv_layer=_UV, target="IMAGE_TEXTURES")
         ob.select_set(False, view_layer=layer)
 
 

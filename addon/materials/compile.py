@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import bpy
 import numpy as np
 
 from ...core import scene
@@ -61,7 +62,8 @@ def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked
 
 
 def _uses_nodes(material) -> bool:
-    return material.node_tree is not None and bool(getattr(material, "use_nodes", True))
+    # From Blender 5 on every material uses its nodes.
+    return material.node_tree is not None and (bpy.app.version >= (5, 0) or material.use_nodes)
 
 
 def _viewport_color(material) -> Program:
