@@ -10,6 +10,7 @@ DESCRIPTIONS = {
     "corridor": "A dark corridor between six rooms, three of them lit: all its light comes through doors ajar.",
     "cathedral": "A Gothic nave with rib vaults: sun and sky through coloured glass onto a polished floor.",
     "furnace": "A closed sphere of one albedo and one emission, whose light is known in closed form.",
+    "gallery": "A museum of three halls with 200 spot and point lamps over pictures and sculptures.",
 }
 NAMES: tuple[str, ...] = tuple(DESCRIPTIONS)
 

@@ -163,10 +163,10 @@ def _corridor(detail: Detail, look: dict[str, Surface]) -> None:
         canvas = principled(f"Painting {index + 1}", textures.painting(120 + 10 * index), roughness=0.5, specular=0.2)
         shape = picture(detail, width, height, 0.05)
         place(
-            "Picture", mesh("Picture", shape, [look["walnut"], canvas]), (x, side * (HALF_WIDTH - 0.022), 1.62), 0.0 if side > 0 else np.pi
+            "Picture", mesh("Picture", shape, [look["walnut"], canvas]), (x, side * (HALF_WIDTH - 0.018), 1.62), 0.0 if side > 0 else np.pi
         )
     end = principled("End painting", textures.painting(190), roughness=0.5, specular=0.2)
-    place("Picture", mesh("End picture", picture(detail, 1.0, 1.2, 0.07), [look["brass"], end]), (LENGTH - 0.022, 0, 1.6), -np.pi / 2)
+    place("Picture", mesh("End picture", picture(detail, 1.0, 1.2, 0.07), [look["brass"], end]), (LENGTH - 0.018, 0, 1.6), -np.pi / 2)
     vessel = mesh("Pot", pot(detail, 0.42, 0.24), [look["terracotta"], look["earth"]], SMOOTH)
     place("Pot", vessel, (17.5, -0.6, 0.001))
     place("Palm", mesh("Open palm", palm(detail, 111, 0.95, 14), look["frond"], SMOOTH), (17.5, -0.6, 0.38))

@@ -102,32 +102,26 @@ def arcade_outline(length: float, bays: int, opening: float, top: float, segment
 
 
 def curtain(
-    detail: Detail, seed: int, width: float, height: float, cloth: float, gathered: float | None = None, tie: float = 0.45, folds: int = 7
+    detail: Detail, seed: int, width: float, height: float, cloth: float, gathered: float, tie: float = 0.45, folds: int = 7
 ) -> Shape:
-    """A hanging curtain in the xz plane, its top edge from x = 0 to width at z = height, its hem at z = 0.
+    """A curtain in the xz plane that hangs from x = 0 to width at z = height and is tied back to x = 0; its hem is at z = 0.
 
-    cloth: width of the flat cloth, which decides how deep the folds are.  gathered: width at the tie (a part `tie` of
-    the height), where the cloth is drawn to x = 0; None lets it hang freely.
+    cloth: width of the flat cloth, which decides how deep the folds are.  gathered: its width at the tie, a part `tie` of
+    the height above the hem.
     """
     rng = np.random.default_rng(seed)
     folds = folds if detail.full else (folds + 1) // 2
     t, s = np.meshgrid(np.linspace(0, 1, detail.segments(24, 4)), np.linspace(0, 1, detail.segments(8, 3) * folds + 1), indexing="ij")
-    if gathered is None:
-        span = width * (1 - 0.06 * t)
-        start = np.zeros_like(t) + 0.03 * width * t
-    else:
-        below, above = np.clip(t / (1 - tie), 0, 1), np.clip((t - 1 + tie) / tie, 0, 1)
-        ease = below**2 * (3 - 2 * below)
-        flare = 0.35 * width * above**0.7
-        span = width * (1 - ease) + gathered * ease + flare * (t > 1 - tie)
-        start = np.zeros_like(t)
+    above, below = np.clip(t / (1 - tie), 0, 1), np.clip((t - 1 + tie) / tie, 0, 1)
+    ease = above**2 * (3 - 2 * above)
+    span = width * (1 - ease) + gathered * ease + 0.35 * width * below**0.7
     bend = rng.uniform(-0.4, 0.4, 3)
     phase = bend[0] * np.sin(2.2 * t + bend[1]) + 0.6 * np.sin(2 * np.pi * (s + bend[2])) * t
     depth = cloth / folds / 4 * np.sqrt(np.clip(1 - (span / cloth) ** 2, 0.02, 1))
     uneven = 1 + 0.35 * np.sin(2 * np.pi * (1.7 * s + rng.uniform()))
     y = depth * uneven * np.sin(2 * np.pi * folds * s + phase)
-    slack = 0.0 if gathered is None else 0.12 * width * np.sin(np.pi * np.clip(t / (1 - tie), 0, 1)) * s
-    points = np.stack([start + s * span, y, height * (1 - t) - slack], axis=-1)
+    slack = 0.12 * width * np.sin(np.pi * above) * s
+    points = np.stack([s * span, y, height * (1 - t) - slack], axis=-1)
     normal = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     uv = np.stack([s * cloth, height * (1 - t)], axis=-1)

@@ -89,7 +89,7 @@ def picture(detail: Detail, width: float, height: float, moulding: float = 0.06)
     """
     edge = detail.chamfer(0.012)
     bars = [box((moulding, 0.045, height + 2 * moulding), (x * (width + moulding) / 2, 0, 0), edge) for x in (-1, 1)]
-    bars += [box((width + 0.02, 0.045, moulding), (0, 0.0005, z * (height + moulding) / 2), edge) for z in (-1, 1)]
+    bars += [box((width + 0.02, 0.043, moulding - 0.004), (0, 0.0, z * (height + moulding) / 2), edge) for z in (-1, 1)]
     canvas = box((width + 0.02, 0.016, height + 0.02), (0, 0.006, 0))
     uv = canvas.uv / [width, height]
     return joined([*bars, Shape(canvas.vertices, canvas.corners, canvas.sizes, uv - uv.min(axis=0), canvas.slots + 1)])

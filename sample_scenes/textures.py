@@ -82,14 +82,13 @@ def paving(
 
 
 def wood(seed: int, colour: Sequence[float], planks: int = 1) -> np.ndarray:
-    """Boards along v with grain; `planks` of them side by side."""
-    column, inside = _grid(planks, 1, 0.006) if planks > 1 else (np.zeros((SIZE, SIZE), int), np.ones((SIZE, SIZE)))
+    """Boards along v with grain; `planks` of them side by side, with a dark joint between them if there are several."""
+    board, inside = _grid(planks, 1, 0.006)
     rng = np.random.default_rng(seed)
     rings = noise(seed + 1, 1.6, stretch=14.0)
     fibre = noise(seed + 2, 0.8, stretch=30.0)
-    brightness = rng.normal(1, 0.09, planks)[column] * (1 + 0.13 * rings + 0.07 * fibre)
-    edges = np.maximum(inside, np.abs(np.arange(SIZE)[:, None] - SIZE / 2) < SIZE / 2 - 2 if planks == 1 else 0)
-    return _tinted(colour, brightness * (0.5 + 0.5 * edges))
+    brightness = rng.normal(1, 0.09, planks)[board] * (1 + 0.13 * rings + 0.07 * fibre)
+    return _tinted(colour, brightness if planks == 1 else brightness * (0.5 + 0.5 * inside))
 
 
 def fabric(seed: int, colour: Sequence[float], stripe: Sequence[float] | None = None) -> np.ndarray:
