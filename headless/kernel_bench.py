@@ -12,9 +12,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..core.jit import kernel
+from ..core.jit import inlined, kernel
 from ..core.rays import (
     ALL,
+    COHERENT,
     WIDTH,
     RayScene,
     hit_point,
@@ -29,7 +30,7 @@ from ..core.rays import (
 from ..core.scene import SHADOW
 from ..core.threads import run_chunks
 
-POINTS, LIGHTS = 8192, 64
+POINTS, LIGHTS = 131072, 256
 REPEATS = 5
 SCALING_CHUNKS = 32
 
@@ -89,40 +90,56 @@ def surface_samples(vertices, triangles, n: int, seed: int) -> np.ndarray:
     return out
 
 
-@kernel
-def _segments(points, lights, lights_outside, rays):
-    """Shadow rays (N M, 6), the loop over lights outside or inside."""
-    n, m = len(points), len(lights)
-    for k in range(n * m):
-        p, q = (points[k % n], lights[k // n]) if lights_outside else (points[k // m], lights[k % m])
-        rays[k] = shadow_segment(p[0], p[1], p[2], p[3], p[4], p[5], p[6], q[0], q[1], q[2], q[3], q[4], q[5], q[6])
+# Orders of the pairs (point, light): all lights of a point; all points of a light; all lights of 16 points.
+PER_POINT, LIGHT_MAJOR, TILES = 0, 1, 2
+
+
+@inlined
+def _pair(k, n_points, n_lights, order):
+    if order == PER_POINT:
+        return k // n_lights, k % n_lights
+    if order == LIGHT_MAJOR:
+        return k % n_points, k // n_points
+    tile, within = k // (WIDTH * n_lights), k % (WIDTH * n_lights)
+    return tile * WIDTH + within % WIDTH, within // WIDTH
+
+
+@inlined
+def _segment(points, lights, order, k):
+    a, b = _pair(k, len(points), len(lights), order)
+    return shadow_segment(
+        points[a, 0], points[a, 1], points[a, 2], points[a, 3], points[a, 4], points[a, 5], points[a, 6],
+        lights[b, 0], lights[b, 1], lights[b, 2], lights[b, 3], lights[b, 4], lights[b, 5], lights[b, 6],
+    )  # fmt: skip
 
 
 @kernel
-def trace_segments(tables, points, lights, lights_outside, begin, end, blocked):
+def _segments(points, lights, order, rays):
+    """Shadow rays (N M, 6): origins and directions."""
+    for k in range(len(rays)):
+        rays[k] = _segment(points, lights, order, k)
+
+
+@kernel
+def trace_segments(tables, which, points, lights, order, begin, end, blocked):
     """Shadow rays begin..end-1 of the product points x lights, made and traced in packets: what renderers do."""
-    n, m = len(points), len(lights)
     packet = new_packet()
     for first in range(begin, end, WIDTH):
         count = min(WIDTH, end - first)
         for lane in range(count):
-            k = first + lane
-            p, q = (points[k % n], lights[k // n]) if lights_outside else (points[k // m], lights[k % m])
-            ox, oy, oz, dx, dy, dz = shadow_segment(p[0], p[1], p[2], p[3], p[4], p[5], p[6], q[0], q[1], q[2], q[3], q[4], q[5], q[6])
+            ox, oy, oz, dx, dy, dz = _segment(points, lights, order, first + lane)
             set_ray(packet, lane, ox, oy, oz, dx, dy, dz, np.float32(0.0), np.float32(1.0), SHADOW)
-        occluded_packet(tables, ALL, packet, count)
+        occluded_packet(tables, which, packet, count)
         for lane in range(count):
             blocked[first + lane] = is_occluded(packet, lane)
 
 
 @kernel
-def trace_segments_singly(tables, points, lights, lights_outside, begin, end, blocked):
+def trace_segments_singly(tables, points, lights, order, begin, end, blocked):
     """The same rays one at a time."""
-    n, m = len(points), len(lights)
     packet = new_packet()
     for k in range(begin, end):
-        p, q = (points[k % n], lights[k // n]) if lights_outside else (points[k // m], lights[k % m])
-        ox, oy, oz, dx, dy, dz = shadow_segment(p[0], p[1], p[2], p[3], p[4], p[5], p[6], q[0], q[1], q[2], q[3], q[4], q[5], q[6])
+        ox, oy, oz, dx, dy, dz = _segment(points, lights, order, k)
         blocked[k] = occluded1(tables, ALL, packet, ox, oy, oz, dx, dy, dz, np.float32(0.0), np.float32(1.0), SHADOW)
 
 
@@ -144,50 +161,65 @@ def _row(case: str, value: float, unit: str, peer: float | None = None) -> dict:
 
 
 def ray_rows(vertices=None, triangles=None, points: int = POINTS, lights: int = LIGHTS, repeats: int = REPEATS) -> list[dict]:
-    """Shadow rays of `points` x `lights` samples on a scene's surfaces (default: `hall()`).
+    """Shadow rays between samples of a scene's surfaces (default: `hall()`), `points` x `lights` / 32 of them an order.
 
     Peers: embreex's `run()` on the same rays, precomputed; for the BVH, our Embree; for 2 threads, 1.
     """
     if vertices is None:
         vertices, triangles = hall()
     p, q = surface_samples(vertices, triangles, points, 1), surface_samples(vertices, triangles, lights, 2)
-    sorted_p = p[morton_order(p[:, :3])]
-    n = points * lights
+    p, q = p[morton_order(p[:, :3])], q[morton_order(q[:, :3])]
+    few_p, few_q = p[: len(p) // 512 * 512].reshape(-1, 512, 7)[:, :WIDTH].reshape(-1, 7), q[::32]  # whole tiles of neighbours
+    cases = (
+        ("per point", few_p, q, PER_POINT, ALL),
+        ("VPL-major, Morton order", p, few_q, LIGHT_MAJOR, ALL | COHERENT),
+        ("16-point tiles", few_p, q, TILES, ALL | COHERENT),
+    )
     rows = []
     with RayScene(vertices, triangles, backend="embree") as fast, RayScene(vertices, triangles, backend="bvh") as fallback:
         peer = _embreex_scene(vertices, triangles)
-        for order, those, outside in (("per point", p, False), ("VPL-major, Morton order", sorted_p, True)):
-            rays = np.empty((n, 6), np.float32)
-            _segments(those, q, outside, rays)
-            origins, directions, t_far = np.ascontiguousarray(rays[:, :3]), np.ascontiguousarray(rays[:, 3:]), np.ones(n, np.float32)
-            blocked = {name: np.empty(n, np.uint8) for name in ("embree", "bvh", "embree singly", "bvh singly")}
-            seconds = _medians(
-                time.thread_time,
-                {
-                    "embree": lambda: trace_segments(fast.tables, those, q, outside, 0, n, blocked["embree"]),
-                    "bvh": lambda: trace_segments(fallback.tables, those, q, outside, 0, n, blocked["bvh"]),
-                    "embree singly": lambda: trace_segments_singly(fast.tables, those, q, outside, 0, n, blocked["embree singly"]),
-                    "bvh singly": lambda: trace_segments_singly(fallback.tables, those, q, outside, 0, n, blocked["bvh singly"]),
-                    "embreex": lambda: peer.run(origins, directions, t_far, query="OCCLUDED"),
-                },
-                repeats,
-            )
-            expected = np.asarray(peer.run(origins, directions, t_far, query="OCCLUDED")) == 0
-            rate = {name: n / s / 1e6 for name, s in seconds.items()}
-            rows += [
-                _row(f"shadow rays, {order}: packets against embreex run()", rate["embree"], "Mrays/s/core", rate["embreex"]),
-                _row(f"shadow rays, {order}: single rays against embreex run()", rate["embree singly"], "Mrays/s/core", rate["embreex"]),
-                _row(f"shadow rays, {order}: BVH packets against Embree packets", rate["bvh"], "Mrays/s/core", rate["embree"]),
-                _row(f"shadow rays, {order}: BVH single rays against Embree packets", rate["bvh singly"], "Mrays/s/core", rate["embree"]),
-                _row(f"shadow rays, {order}: share that differs from embreex", float(np.mean(blocked["embree"] != expected)), "1"),
-            ]
+        for name, a, b, order, which in cases:
+            rows += _rows_of_order(name, fast.tables, fallback.tables, peer, a, b, order, which, repeats)
+    by_case = {row["case"]: row for row in rows}
+    tiles, peer_rate = (
+        by_case["shadow rays, 16-point tiles: packets against embreex"]["value"],
+        by_case["shadow rays, per point: packets against embreex"]["peer_value"],
+    )
+    return [*rows, _row("shadow rays, 16-point tiles against embreex per point: the same rays", tiles, "Mrays/s/core", peer_rate)]
 
-            def over(threads: int, those=those, outside=outside, out=blocked["embree"]) -> None:
-                run_chunks(lambda b, e: trace_segments(fast.tables, those, q, outside, b, e, out), n, -(-n // SCALING_CHUNKS), threads)
 
-            wall = _medians(time.perf_counter, {"1": lambda: over(1), "2": lambda: over(2)}, repeats)
-            rows.append(_row(f"shadow rays, {order}: 2 threads against 1", n / wall["2"] / 1e6, "Mrays/s", n / wall["1"] / 1e6))
-    return rows
+def _rows_of_order(name, tables, bvh_tables, peer, points, lights, order, which, repeats) -> list[dict]:
+    n = len(points) * len(lights)
+    rays = np.empty((n, 6), np.float32)
+    _segments(points, lights, order, rays)
+    origins, directions, t_far = np.ascontiguousarray(rays[:, :3]), np.ascontiguousarray(rays[:, 3:]), np.ones(n, np.float32)
+    blocked, other = np.empty(n, np.uint8), np.empty(n, np.uint8)
+    seconds = _medians(
+        time.thread_time,
+        {
+            "packets": lambda: trace_segments(tables, which, points, lights, order, 0, n, blocked),
+            "single rays": lambda: trace_segments_singly(tables, points, lights, order, 0, n, other),
+            "BVH packets": lambda: trace_segments(bvh_tables, which, points, lights, order, 0, n, other),
+            "embreex": lambda: peer.run(origins, directions, t_far, query="OCCLUDED"),
+        },
+        repeats,
+    )
+    rate = {contestant: n / s / 1e6 for contestant, s in seconds.items()}
+    differs = np.mean((np.asarray(peer.run(origins, directions, t_far, query="OCCLUDED")) == 0) != blocked)
+
+    def over(threads: int) -> None:
+        chunk = -(-n // SCALING_CHUNKS // WIDTH) * WIDTH
+        run_chunks(lambda begin, end: trace_segments(tables, which, points, lights, order, begin, end, blocked), n, chunk, threads)
+
+    wall = _medians(time.perf_counter, {"1": lambda: over(1), "2": lambda: over(2)}, repeats)
+    unit = "Mrays/s/core"
+    return [
+        _row(f"shadow rays, {name}: packets against embreex", rate["packets"], unit, rate["embreex"]),
+        _row(f"shadow rays, {name}: single rays against embreex", rate["single rays"], unit, rate["embreex"]),
+        _row(f"shadow rays, {name}: BVH packets against Embree packets", rate["BVH packets"], unit, rate["packets"]),
+        _row(f"shadow rays, {name}: share that differs from embreex", float(differs), "1"),
+        _row(f"shadow rays, {name}: 2 threads against 1", n / wall["2"] / 1e6, "Mrays/s", n / wall["1"] / 1e6),
+    ]
 
 
 def _embreex_scene(vertices: np.ndarray, triangles: np.ndarray):

@@ -265,32 +265,26 @@ def _trace16(tables, which, packet, count, any_hit):
         f[INVERSE_Z + k] = _inverse(f[pk.DIR_Z * W + k])
         f[T_END + k] = f[pk.T_FAR * W + k] if k < count else pk.OCCLUDED
         i[PLACE + k] = -1
-    if which & OPAQUE and tables.roots[0] >= 0:
-        _traverse16(tables.nodes, tables.words, tables.corners, tables.visibility, f, i, tables.roots[0], any_hit)
-    if which & CUTOUT and tables.roots[1] >= 0:
-        _traverse16(tables.nodes, tables.words, tables.corners, tables.visibility, f, i, tables.roots[1], any_hit)
-
-
-@kernel(fast=False)
-def occluded_packet(tables, which, packet, count):
-    """See `trace.occluded_packet`."""
-    _trace16(tables, which, packet, count, True)
-    f, i = packet.f, packet.i
-    for k in range(count):
-        if i[PLACE + k] >= 0:
-            f[pk.T_FAR * W + k] = pk.OCCLUDED
-
-
-@kernel(fast=False)
-def intersect_packet(tables, which, packet, count):
-    """See `trace.intersect_packet`."""
-    _trace16(tables, which, packet, count, False)
-    f, i = packet.f, packet.i
+    for s in range(2):
+        if which & (OPAQUE, CUTOUT)[s] and tables.roots[s] >= 0:
+            _traverse16(tables.nodes, tables.words, tables.corners, tables.visibility, f, i, tables.roots[s], any_hit)
     for k in range(count):
         place = i[PLACE + k]
         i[pk.PRIMITIVE * W + k] = tables.triangle[place] if place >= 0 else -1
         if place >= 0:
             f[pk.T_FAR * W + k] = f[T_END + k]
+
+
+@inlined
+def occluded_packet(tables, which, packet, count):
+    """See `trace.occluded_packet`."""
+    _trace16(tables, which, packet, count, True)
+
+
+@inlined
+def intersect_packet(tables, which, packet, count):
+    """See `trace.intersect_packet`."""
+    _trace16(tables, which, packet, count, False)
 
 
 @kernel(fast=False)

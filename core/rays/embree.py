@@ -24,7 +24,7 @@ from numba.extending import intrinsic
 
 from ..jit import inlined, kernel
 from . import packet as pk
-from .memory import read_float, read_int, write_float, write_int
+from .memory import copy4, copy8, read_float, read_int, write_float, write_int
 from .partition import Partition
 from .trace import COHERENT, CUTOUT, OPAQUE, register_backend
 
@@ -249,18 +249,22 @@ def _call_single(typingctx, function, scene, ray):
     return types.void(*[types.uintp] * 3), codegen
 
 
-@inlined
-def _trace_parts(function, width, scene, packet, arguments, last_row):
-    """Trace the 16 lanes as 16 / width native packets in the scratch rows; rows T_FAR..last_row come back."""
-    part = packet + np.uintp(4 * pk.SCRATCH)
-    for begin in range(0, pk.WIDTH, width):
-        for row in range(pk.ROWS):
-            for lane in range(width):
-                write_int(part, row * width + lane, read_int(packet, row * pk.WIDTH + begin + lane))
-        _call_packet(function, part + np.uintp(4 * pk.VALID * width), scene, part, arguments)
-        for row in range(pk.T_FAR, last_row + 1):
-            for lane in range(width):
-                write_int(packet, row * pk.WIDTH + begin + lane, read_int(part, row * width + lane))
+def _in_parts(width, copy):
+    @kernel
+    def trace_parts(function, scene, packet, arguments, last_row):
+        """Trace the 16 lanes as 16 / width native packets in the scratch rows; rows T_FAR..last_row come back."""
+        part = packet + np.uintp(4 * pk.SCRATCH)
+        for begin in range(0, pk.WIDTH, width):
+            for row in range(pk.ROWS):
+                copy(part, row * width, packet, row * pk.WIDTH + begin)
+            _call_packet(function, part + np.uintp(4 * pk.VALID * width), scene, part, arguments)
+            for row in range(pk.T_FAR, last_row + 1):
+                copy(packet, row * pk.WIDTH + begin, part, row * width)
+
+    return trace_parts
+
+
+_trace_in_eights, _trace_in_fours = _in_parts(8, copy8), _in_parts(4, copy4)
 
 
 # The functions below take addresses only: arrays in their arguments would cost atomic reference counts per call.
@@ -270,8 +274,10 @@ def _trace(function, width, scene, packet, arguments, last_row):
         return
     if width == pk.WIDTH:
         _call_packet(function, packet + np.uintp(4 * pk.VALID * pk.WIDTH), scene, packet, arguments)
+    elif width == 8:
+        _trace_in_eights(function, scene, packet, arguments, last_row)
     else:
-        _trace_parts(function, width, scene, packet, arguments, last_row)
+        _trace_in_fours(function, scene, packet, arguments, last_row)
 
 
 @kernel

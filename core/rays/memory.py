@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -37,3 +38,22 @@ def _writer(kind):
 
 read_int, write_int = _reader(types.int32), _writer(types.int32)
 read_float, write_float = _reader(types.float32), _writer(types.float32)
+
+
+def _copier(words):
+    @intrinsic
+    def copy(typingctx, target, target_index, source, source_index):
+        def codegen(context, builder, signature, args):
+            vector = ir.VectorType(ir.IntType(32), words).as_pointer()
+            to, at = (_pointer(context, builder, a, i, types.int32) for a, i in (args[:2], args[2:]))
+            block = builder.load(builder.bitcast(at, vector), align=4)
+            builder.store(block, builder.bitcast(to, vector), align=4)
+            return context.get_dummy_value()
+
+        return types.void(types.uintp, types.intp, types.uintp, types.intp), codegen
+
+    return copy
+
+
+# Blocks of words in one vector move: loops over words cost seconds of compile time.
+copy4, copy8 = _copier(4), _copier(8)

@@ -83,7 +83,7 @@ def _room(scale, offset, steps, rng):
     return vertices.astype(np.float32), np.concatenate(triangles).astype(np.int32)
 
 
-ROOMS = [(1e-3, 0.0, 1), (1e-3, 100.0, 3), (1.0, 0.0, 5), (10.0, 1.0, 2), (10.0, 100.0, 1), (1e4, 1.0, 4), (1e4, 100.0, 2)]
+ROOMS = [(1e-3, 0.0, 1), (1e-3, 100.0, 3), (1.0, 0.0, 5), (10.0, 1.0, 2), (10.0, 100.0, 1), (1e4, 1.0, 4), (1e4, 100.0, 2), (1.0, 1e4, 1)]
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

@@ -35,6 +35,20 @@ def test_no_rays(backend):
 
 
 @pytest.mark.parametrize("backend", ["embree", "bvh"])
+def test_rays_that_are_none_meet_nothing(backend):
+    vertices, triangles = _soup(200, np.random.default_rng(3))
+    origins = np.full((40, 3), 0.5)
+    directions = np.ones((40, 3))
+    origins[:10, 1] = np.nan
+    directions[10:20, 2] = np.nan
+    directions[20:30] = 0
+    t_max = np.where(np.arange(40) < 30, np.inf, -1)
+    with rays.RayScene(vertices, triangles, backend=backend) as scene:
+        assert np.all(rays.intersect(scene, origins, directions, t_max).triangle == -1)
+        assert np.all(rays.occluded(scene, origins, directions, t_max) == 0)
+
+
+@pytest.mark.parametrize("backend", ["embree", "bvh"])
 @pytest.mark.parametrize("transparent", [False, True])
 def test_weights_belong_to_corners_1_and_2(backend, transparent):
     with rays.RayScene(ONE, [[0, 1, 2]], transparent=[transparent], backend=backend) as scene:
