@@ -165,7 +165,7 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
 
     demo = commands.add_parser("demo", help="the built-in atrium: layers, pictures and figures")
     demo.add_argument("-o", "--output", type=output_folder, default="demo", metavar="DIR", help="where the files go (default: %(default)s)")
-    demo.add_argument("--size", type=resolution, metavar="WxH", help="pixels (default: the scene's)")
+    demo.add_argument("--size", type=resolution, metavar="WxH", help="pixels of the pictures (default: 640x360)")
 
     render = commands.add_parser("render", help="a scene's indirect light into a multilayer EXR file")
     _add_scene(render, scene_is_open)

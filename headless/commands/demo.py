@@ -15,6 +15,8 @@ from ..results import write_json
 from ..sources import open_source
 
 SCENE = "atrium"
+SIZE = (640, 360)
+SETTINGS = RenderSettings(vpls=1024, pixel_samples=8)
 LIGHT = ("Combined", "Direct", "Indirect", "Irradiance")
 
 
@@ -22,7 +24,7 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     """Render the atrium; leave its layers, a preview of each, and the statistics in a folder."""
     folder = arguments.output
     folder.mkdir(parents=True, exist_ok=True)
-    frame = render_frame(open_source(SCENE), View(size=arguments.size), RenderSettings(), terminal)
+    frame = render_frame(open_source(SCENE), View(size=arguments.size or SIZE), SETTINGS, terminal)
     write_exr(folder / f"{SCENE}.exr", frame.layers)
     write_json(folder / f"{SCENE}.json", frame.stats)
     previews = write_previews(folder, frame.layers)
