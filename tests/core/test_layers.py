@@ -7,6 +7,7 @@ import textwrap
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+
 from lumigate.core import layers as lay
 from lumigate.core.errors import SceneError
 
