@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from lumigate.core import metrics
 from lumigate.core.errors import SceneError
 
