@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import chi2, kstest, qmc
+
 from lumigate.core.jit import kernel
 from lumigate.core.sampling import discrete, hashing, maps, sequences
-from scipy.stats import chi2, kstest, qmc
 
 
 @kernel
