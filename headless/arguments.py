@@ -17,6 +17,7 @@ from .outputs import OutputError, check_file, check_folder
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 LAST_FRAME = 1_048_574  # Blender's MAXFRAME
+SUITES = ("kernels", "clustering")  # of `bench`
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
 
 
@@ -198,9 +199,8 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     inspect.add_argument("--json", type=output_file(".json"), metavar="FILE", help="write the same as JSON")
 
     bench = commands.add_parser("bench", help="speed of the parts, measured on this machine")
-    bench.add_argument("suite", nargs="?", default="kernels", choices=("kernels",), metavar="SUITE", help="kernels (default)")
+    bench.add_argument("suite", nargs="?", default=SUITES[0], choices=SUITES, metavar="SUITE", help="%(choices)s (default: %(default)s)")
     bench.add_argument("-o", "--output", type=output_folder, required=True, metavar="DIR", help="where results.json goes")
-    bench.add_argument("--threads", type=size_or_none, default=0, metavar="T", help="threads (default: all cores)")
     return parser
 
 

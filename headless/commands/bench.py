@@ -11,18 +11,20 @@ from rich.table import Table
 
 from ... import __version__
 from ...core.threads import thread_count
+from ..clustering_bench import clustering_rows
 from ..console import Terminal
 from ..kernel_bench import ray_rows
 from ..results import write_json
 
-SUITES = {"kernels": ray_rows}
+# Keys as in `arguments.SUITES`.
+ROWS = {"kernels": ray_rows, "clustering": clustering_rows}
 PACKAGES = ("bpy", "numpy", "numba", "llvmlite", "scipy", "embreex", "OpenImageIO")
 
 
 def run(arguments: Namespace, terminal: Terminal) -> None:
     """Run one suite, print its rows and write DIR/results.json."""
     with terminal.waiting(f"bench {arguments.suite}"):
-        rows = SUITES[arguments.suite]()
+        rows = ROWS[arguments.suite]()
     arguments.output.mkdir(parents=True, exist_ok=True)
     write_json(arguments.output / "results.json", {"machine": machine(), "versions": versions(), "rows": rows})
     table = Table(title=arguments.suite, title_justify="left")

@@ -131,9 +131,13 @@ def test_reference_has_the_same_layers(rendered, tmp_path):
     np.testing.assert_allclose(ours["Albedo"].mean(), reference["Albedo"].mean(), rtol=0.1)
 
 
+def test_every_suite_has_rows():
+    assert tuple(bench.ROWS) == arguments.SUITES
+
+
 def test_bench_leaves_machine_versions_and_rows(tmp_path, monkeypatch, capsys):
     rows = [{"suite": "kernels", "case": "shadow rays", "value": 2.0, "unit": "Mrays/s/core", "peer_value": 1.0, "ratio": 2.0}]
-    monkeypatch.setitem(bench.SUITES, "kernels", lambda: rows)
+    monkeypatch.setitem(bench.ROWS, "kernels", lambda: rows)
     assert main(["bench", "-o", str(tmp_path / "bench")]) == 0
     results = json.loads((tmp_path / "bench" / "results.json").read_text())
     assert results["rows"] == rows
