@@ -5,8 +5,8 @@
 """
 
 from .build import build_emitters
-from .direct import direct_irradiance
+from .direct import direct_irradiance, direct_light
 from .tables import Emitters
 from .world import world_tables
 
-__all__ = ["Emitters", "build_emitters", "direct_irradiance", "world_tables"]
+__all__ = ["Emitters", "build_emitters", "direct_irradiance", "direct_light", "world_tables"]

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..sampling.discrete import cumulative
 from ..sampling.sequences import r2_points
-from ..scene import AREA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, POINT, SPOT, SUN, TRANSPARENT, Scene
+from ..scene import AREA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, GLOSSY, POINT, SPOT, SUN, TRANSPARENT, Scene
 from ..surfaces.batch import evaluate_batch
 from ..surfaces.layout import EMISSION
 from .tables import (
@@ -28,6 +28,7 @@ from .tables import (
     ONE_MINUS_COS,
     POSITION,
     RADIUS,
+    SEEN_BY_GLOSSY,
     SHAPE,
     SIZE,
     SOFT,
@@ -76,6 +77,7 @@ def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
     sphere, sun, area = (kind == POINT) | (kind == SPOT), kind == SUN, kind == AREA
     ellipse = area & (lamps.shape[keep] == ELLIPSE)
     flags = CASTS_SHADOW * (lamps.cast_shadow[keep] > 0) + SOFT * (sphere & (lamps.soft_falloff[keep] > 0)) + ELLIPTIC * ellipse
+    flags = flags + SEEN_BY_GLOSSY * ((lamps.visibility[keep] & GLOSSY) > 0)
     half = 0.5 * angle
 
     # Cycles: smoothstep((cos - cos_outer) / ((1 - cos_outer) blend)).
@@ -164,7 +166,7 @@ def _mesh(scene: Scene, ray_kind: int, threads: int):
     bounds[:, ENERGY] = radiance.mean(1) * area
     table = np.zeros((len(triangle), SHAPE), f)
     table[:, CORNERS : CORNERS + 9], table[:, NORMAL : NORMAL + 3], table[:, AREA_M2] = corners.reshape(-1, 9), normal, area
-    flags = CASTS_SHADOW + TEXTURED * textured
+    flags = CASTS_SHADOW + TEXTURED * textured + SEEN_BY_GLOSSY * ((g.object_visibility[g.object[triangle]] & GLOSSY) > 0)
     return triangle, material, flags, radiance, radiance * (2 * np.pi * area)[:, None], bounds, table
 
 
@@ -182,7 +184,8 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0) -> E
     parts = [(kind, flags, radiance, flux, bounds)]
     if scene.world.visibility & ray_kind and (scene.world.radiance > 0).any():
         world, mean, world_flux = world_table(scene.world.radiance, box)
-        parts.append((np.array([WORLD]), np.array([CASTS_SHADOW]), mean[None], world_flux[None], np.zeros((1, COLUMNS))))
+        world_flags = CASTS_SHADOW + SEEN_BY_GLOSSY * bool(scene.world.visibility & GLOSSY)
+        parts.append((np.array([WORLD]), np.array([world_flags]), mean[None], world_flux[None], np.zeros((1, COLUMNS))))
     m = len(triangle)
     parts.append((np.full(m, TRIANGLE), mesh_flags, mesh_radiance, mesh_flux, mesh_bounds))
     kind, flags, radiance, flux, bounds = (np.concatenate(columns) for columns in zip(*parts))

@@ -3,11 +3,15 @@
 Emitters near the scene are few and are then sampled one by one ("groups"), or many and then share a tree, which
 is one group.  A point's samples are dealt to the groups by what each could send there unshadowed, at least one to
 each that can send anything; where there are fewer samples than groups, the groups are drawn at random.
+
+The same rays carry the light that glossy lobes reflect.  They share it with rays drawn from the lobes (see
+`methods.glossy`) by the balance heuristic (Veach 1997, section 9.2.2): each counts for its share of the density of both.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,12 +23,14 @@ from ..sampling.hashing import hash_combine, to_unit, uniform
 from ..sampling.sequences import sobol
 from ..scene import SHADOW, SUN
 from ..surfaces.layout import SURFACE
+from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count, set_lobe
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import transmittance1
 from ..threads import Progress, run_chunks
+from .lookup import can_be_met, emitter_density
 from .sample import sample_emitter
-from .tables import AXIS_Z, CASTS_SHADOW, ONE_MINUS_COS, TRIANGLE, WORLD
-from .tree import cut_estimate, descend, importance
+from .tables import AXIS_Z, CASTS_SHADOW, ONE_MINUS_COS, SEEN_BY_GLOSSY, TRIANGLE, WORLD
+from .tree import CUT, choose, cut_estimate, cut_for, descend, importance
 
 CHUNK = 4096  # points a chunk
 _BLOCK = 64  # points whose rays are traced together, lamp by lamp
@@ -34,6 +40,20 @@ _1 = np.float32(1.0)
 _THIRD = np.float32(1 / 3)
 # A lamp is no surface that a ray could hit, but one often lies in a surface: stop short of it.
 _SHORT = np.float32(0.9999)
+
+
+class Receivers(NamedTuple):
+    """N points to be lit, as `view.points.ShadingPoints`; the arrays from wo on are empty where no point has a lobe."""
+
+    position: np.ndarray
+    ns: np.ndarray
+    ng: np.ndarray
+    error: np.ndarray
+    wo: np.ndarray
+    f0: np.ndarray
+    f90: np.ndarray
+    roughness: np.ndarray
+    albedo: np.ndarray
 
 
 @inlined
@@ -90,6 +110,53 @@ def deal(estimate, samples, offset, count, weight):
             weight[g] = _1 / np.float32(n + 1)
 
 
+@kernel
+def expected_samples(emitters, px, py, pz, nx, ny, nz, samples, estimate, count, expected):
+    """How many of `samples` each group gets at p with normal n, on average, into `expected` (G,).
+
+    estimate (G,) float32, count (G,) int32: scratch.
+    """
+    for g in range(len(emitters.groups)):
+        estimate[g] = group_estimate(emitters, g, px, py, pz, nx, ny, nz)
+    deal(estimate, samples, np.float32(0.5), count, expected)
+    for g in range(len(emitters.groups)):
+        expected[g] = _1 / expected[g] if expected[g] > _0 else _0
+
+
+@kernel
+def aimed_density(emitters, expected, e, px, py, pz, nx, ny, nz, dx, dy, dz):
+    """Light samples per steradian in a direction d that meets emitter e, where groups get `expected` samples each.
+
+    Nearly: what the tree gives to one emitter is taken from its bounds.  Weights of multiple importance sampling may
+    be anything that is the same for all of the samplers.
+    """
+    if nx * dx + ny * dy + nz * dz <= _0:
+        return _0
+    number = _0
+    for g in range(len(emitters.groups)):
+        if emitters.groups[g] == e:
+            number = expected[g]
+            break
+        if emitters.groups[g] < 0:
+            tree = emitters.tree
+            own = importance(tree.nodes, tree.two_sided, e, px, py, pz, nx, ny, nz)
+            number = expected[g] * min(_1, own / max(group_estimate(emitters, g, px, py, pz, nx, ny, nz), np.float32(1e-30)))
+    return number * emitter_density(emitters, e, px, py, pz, nx, ny, nz, dx, dy, dz) if number > _0 else _0
+
+
+@inlined
+def _lobe_share(emitters, e, lobe, reflections, expected, px, py, pz, nx, ny, nz, dx, dy, dz):
+    """Lobe times cosine (r, g, b) towards a sample of emitter e, times the share that rays drawn from the lobe leave to it."""
+    r, g, b, density = lobe_value(lobe, dx, dy, dz)
+    if not (density > _0 and emitters.flags[e] & SEEN_BY_GLOSSY):
+        return _0, _0, _0
+    if reflections > 0 and can_be_met(emitters, e):
+        aimed = aimed_density(emitters, expected, e, px, py, pz, nx, ny, nz, dx, dy, dz)
+        share = aimed / (aimed + np.float32(reflections) * density)
+        return r * share, g * share, b * share
+    return r, g, b
+
+
 @inlined
 def shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error, dx, dy, dz, t):
     """Ray from the surface at p to the light at distance t along d -> (origin, direction, end of the range)."""
@@ -103,20 +170,11 @@ def shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error, dx, dy, dz, t):
     return ox, oy, oz, dx, dy, dz, t * _SHORT
 
 
-@inlined
-def _choose(emitters, e, px, py, pz, nx, ny, nz, u):
-    """The emitter of a group, chosen from the tree where the group is one -> (emitter or -1, probability)."""
-    if e >= 0:
-        return e, _1
-    tree = emitters.tree
-    return descend(tree.nodes, tree.two_sided, tree.children, tree.root, px, py, pz, nx, ny, nz, u)
-
-
 @kernel
-def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
-    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2; its mean is exact.
+def light_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
+    """Light that arrives at one point by one shadow ray -> (emitter or -1, d, r, g, b).
 
-    For the tails of paths: random numbers are hashed from (seed, path, dimension, 0..3).
+    (r, g, b) = radiance / density from the direction d.  Random numbers are hashed from (seed, path, dimension, 0..3).
     scene: Transport.  packet, rows, surface: scratch.  g, s: geometric and shading normal, on the lit side.
     """
     emitters = scene.emitters
@@ -135,32 +193,63 @@ def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, g
                 u = (u - p) / (_1 - p)
             u = min(u, np.float32(0.99999994))
     if chosen < 0:
-        return _0, _0, _0
-    e, probability = _choose(emitters, emitters.groups[chosen], x, y, z, sx, sy, sz, uniform(seed, path, dimension, 1))
+        return -1, _0, _0, _0, _0, _0, _0
+    e, probability = emitters.groups[chosen], _1
     if e < 0:
-        return _0, _0, _0
+        tree = emitters.tree
+        e, probability = descend(
+            tree.nodes, tree.two_sided, tree.children, tree.root, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 1)
+        )
+        if e < 0:
+            return -1, _0, _0, _0, _0, _0, _0
     dx, dy, dz, t, r, g, b, u, v = sample_emitter(
         emitters, e, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 2), uniform(seed, path, dimension, 3), rows, surface
     )
-    cosine = sx * dx + sy * dy + sz * dz
-    if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
-        return _0, _0, _0
-    w = cosine * total / (chosen_estimate * probability)
+    if sx * dx + sy * dy + sz * dz <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
+        return -1, _0, _0, _0, _0, _0, _0
+    w = total / (chosen_estimate * probability)
     if emitters.flags[e] & CASTS_SHADOW:
-        ox, oy, oz, dx, dy, dz, end = shadow_ray(scene, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t)
-        if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, SHADOW):
-            return _0, _0, _0
-        if emitters.cutouts:
-            tr, tg, tb = transmittance1(
-                scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface,
-                ox, oy, oz, dx, dy, dz, _0, end, SHADOW,
-            )  # fmt: skip
-            r, g, b = r * tr, g * tg, b * tb
-    return w * r, w * g, w * b
+        ox, oy, oz, vx, vy, vz, end = shadow_ray(scene, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t)
+        tr, tg, tb = passed(scene, packet, rows, surface, ox, oy, oz, vx, vy, vz, end)
+        r, g, b = r * tr, g * tg, b * tb
+    return e, dx, dy, dz, w * r, w * g, w * b
 
 
 @kernel
-def _trace_pending(scene, packet, rows, surface, pending, owner, n, out):
+def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end):
+    """Share of light (r, g, b) that a shadow ray lets through up to t = end."""
+    if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, SHADOW):
+        return _0, _0, _0
+    if not scene.emitters.cutouts:
+        return _1, _1, _1
+    return transmittance1(
+        scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, SHADOW
+    )
+
+
+@kernel
+def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
+    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2; its mean is exact.  Arguments as for `light_at`."""
+    _, dx, dy, dz, r, g, b = light_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension)
+    cosine = sx * dx + sy * dy + sz * dz
+    return cosine * r, cosine * g, cosine * b
+
+
+@kernel
+def direct_radiance_at(scene, packet, rows, surface, lobe, expected, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
+    """Radiance (r, g, b) that the lobe at one point reflects, by one shadow ray that shares it with one ray drawn from the lobe.
+
+    expected: (G,), `expected_samples` of one sample there.
+    """
+    e, dx, dy, dz, r, g, b = light_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension)
+    if e < 0:
+        return _0, _0, _0
+    fr, fg, fb = _lobe_share(scene.emitters, e, lobe, 1, expected, x, y, z, sx, sy, sz, dx, dy, dz)
+    return fr * r, fg * g, fb * b
+
+
+@kernel
+def _trace_pending(scene, packet, rows, surface, pending, owner, n, out, glossy):
     """Trace the n pending rays and add what gets through to their points."""
     for lane in range(WIDTH):
         if lane < n:
@@ -182,30 +271,55 @@ def _trace_pending(scene, packet, rows, surface, pending, owner, n, out):
         out[owner[lane], 0] += p[7] * tr
         out[owner[lane], 1] += p[8] * tg
         out[owner[lane], 2] += p[9] * tb
+        if len(glossy) > 0:
+            glossy[owner[lane], 0] += p[10] * tr
+            glossy[owner[lane], 1] += p[11] * tg
+            glossy[owner[lane], 2] += p[12] * tb
 
 
 @kernel
-def _direct_chunk(scene, position, ns, ng, error, begin, end, samples, seed, first, out):
-    """Direct irradiance of the points begin..end-1 into `out` -> number of rays."""
+def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, out, glossy):
+    """Direct irradiance of the points begin..end-1 into `out`, what their lobes reflect into `glossy` -> number of rays."""
+    position, ns, ng, error = points.position, points.ns, points.ng, points.error
     emitters = scene.emitters
+    tree = emitters.tree
     n_groups = len(emitters.groups)
     packet = new_packet()
     rows = new_registers(scene.materials)
     surface = np.zeros(SURFACE, np.float32)
-    pending = np.zeros((WIDTH, 10), np.float32)
+    pending = np.zeros((WIDTH, 13), np.float32)
     owner = np.zeros(WIDTH, np.int64)
     estimate = np.empty(n_groups, np.float32)
+    members = np.empty((_BLOCK, CUT), np.int32)
+    cdf = np.empty((_BLOCK, CUT), np.float32)
+    cut_size = np.empty(_BLOCK, np.int64)
     count = np.zeros((_BLOCK, n_groups), np.int32)
     weight = np.zeros((_BLOCK, n_groups), np.float32)
+    lobes = np.full((_BLOCK, LOBE), -_1)
+    drawn = np.zeros(_BLOCK, np.int64)
+    expected = np.zeros((_BLOCK, n_groups), np.float32)
+    spare = np.empty(n_groups, np.int32)
     n_rays = 0
     for start in range(begin, end, _BLOCK):
         size = min(_BLOCK, end - start)
         for k in range(size):
             i = start + k
             out[i] = _0
+            px, py, pz, sx, sy, sz = position[i, 0], position[i, 1], position[i, 2], ns[i, 0], ns[i, 1], ns[i, 2]
             for g in range(n_groups):
-                estimate[g] = group_estimate(emitters, g, position[i, 0], position[i, 1], position[i, 2], ns[i, 0], ns[i, 1], ns[i, 2])
+                if emitters.groups[g] < 0:
+                    cut_size[k], estimate[g] = cut_for(
+                        tree.nodes, tree.two_sided, tree.children, tree.root, px, py, pz, sx, sy, sz, members[k], cdf[k]
+                    )
+                else:
+                    estimate[g] = group_estimate(emitters, g, px, py, pz, sx, sy, sz)
             deal(estimate, samples, to_unit(hash_combine(hash_combine(seed, i), first)), count[k], weight[k])
+            if len(glossy) > 0:
+                glossy[i] = _0
+                set_point_lobe(points, i, lobes[k])
+                drawn[k] = reflection_count(lobes[k], points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], reflections)
+                if drawn[k] > 0:
+                    expected_samples(emitters, px, py, pz, sx, sy, sz, samples, estimate, spare, expected[k])
         n = 0
         # Lamp by lamp, so that the rays of a packet go the same way.
         for g in range(n_groups):
@@ -222,56 +336,103 @@ def _direct_chunk(scene, position, ns, ng, error, begin, end, samples, seed, fir
                     scramble = hash_combine(hash_combine(seed, i), g)
                     # Later passes go on where this group's samples (rounded up, where they vary) end.
                     index = first * np.int64(_1 / weight[k, g] + np.float32(0.999)) + sample
-                    e, probability = _choose(emitters, emitters.groups[g], px, py, pz, sx, sy, sz, sobol(index, 2, scramble))
+                    e = emitters.groups[g]
+                    rarity = _1
                     if e < 0:
-                        continue
+                        pick = to_unit(hash_combine(scramble, index))
+                        e, rarity = choose(
+                            tree.nodes, tree.two_sided, tree.children, px, py, pz, sx, sy, sz, members[k], cdf[k], cut_size[k],
+                            sobol(index, 2, scramble), pick,
+                        )  # fmt: skip
+                        if e < 0:
+                            continue
                     u1, u2 = sobol(index, 0, scramble), sobol(index, 1, scramble)
                     dx, dy, dz, t, r, gr, b, u, v = sample_emitter(emitters, e, px, py, pz, sx, sy, sz, u1, u2, rows, surface)
                     cosine = sx * dx + sy * dy + sz * dz
                     gx, gy, gz = ng[i, 0], ng[i, 1], ng[i, 2]
                     if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, gr, b) > _0:
                         continue
-                    w = cosine * weight[k, g] / probability
+                    w = rarity * weight[k, g]
+                    fr = fg = fb = _0
+                    if lobes[k, ALPHA] > _0:
+                        fr, fg, fb = _lobe_share(emitters, e, lobes[k], drawn[k], expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
+                        fr, fg, fb = fr * w * r, fg * w * gr, fb * w * b
+                    w *= cosine
                     if not emitters.flags[e] & CASTS_SHADOW:
                         out[i, 0] += w * r
                         out[i, 1] += w * gr
                         out[i, 2] += w * b
+                        if lobes[k, ALPHA] > _0:
+                            glossy[i, 0] += fr
+                            glossy[i, 1] += fg
+                            glossy[i, 2] += fb
                         continue
                     p = pending[n]
                     p[0], p[1], p[2], p[3], p[4], p[5], p[6] = shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error[i], dx, dy, dz, t)
                     p[7], p[8], p[9] = w * r, w * gr, w * b
+                    p[10], p[11], p[12] = fr, fg, fb
                     owner[n] = i
                     n += 1
                     n_rays += 1
                     if n == WIDTH:
-                        _trace_pending(scene, packet, rows, surface, pending, owner, n, out)
+                        _trace_pending(scene, packet, rows, surface, pending, owner, n, out, glossy)
                         n = 0
         if n > 0:
-            _trace_pending(scene, packet, rows, surface, pending, owner, n, out)
+            _trace_pending(scene, packet, rows, surface, pending, owner, n, out, glossy)
     return n_rays
 
 
-def direct_irradiance(scene, points, samples: int, seed: int, threads: int = 0, progress: Progress | None = None, *, first: int = 0):
-    """Direct irradiance at shading points.
+@kernel
+def set_point_lobe(points, i, lobe):
+    """The lobe of point i (of `Receivers` or `ShadingPoints`) into a row."""
+    set_lobe(
+        lobe, points.ns[i, 0], points.ns[i, 1], points.ns[i, 2], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2],
+        points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], points.roughness[i],
+        points.f0[i, 0], points.f0[i, 1], points.f0[i, 2], points.f90[i, 0], points.f90[i, 1], points.f90[i, 2],
+    )  # fmt: skip
 
-    Args:
-        scene: Transport.
-        points: with arrays position, ns, ng (N, 3) and error (N,) float32, such as `view.points.ShadingPoints`; in an
-            order in which neighbours lie close together.
-        samples: shadow rays a point (some fewer where light cannot arrive).
-        first: number of the pass; passes of one seed and sample count go on in the same sequences.
+
+def direct_irradiance(scene, points, samples: int, seed: int, threads: int = 0, progress: Progress | None = None, *, first: int = 0):
+    """Direct irradiance at shading points, as `direct_light`; points need the arrays position, ns, ng and error only.
 
     Returns:
         ((N, 3) float32 W/m^2, number of rays traced).
     """
+    none = np.zeros((0, 3), np.float32)
+    receivers = Receivers(points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none)
+    return _direct(scene, receivers, samples, 0, seed, threads, progress, first, none)
+
+
+def direct_light(
+    scene, points, samples: int, seed: int, threads: int = 0, progress: Progress | None = None, *, first: int = 0, reflections: int = 0
+):  # fmt: skip
+    """Direct light at shading points: irradiance, and what their glossy lobes reflect to the viewer.
+
+    Args:
+        scene: Transport.
+        points: with the arrays of `Receivers`, such as `view.points.ShadingPoints`; in an order in which neighbours
+            lie close together.
+        samples: shadow rays a point (some fewer where light cannot arrive).
+        first: number of the pass; passes of one seed and sample count go on in the same sequences.
+        reflections: most rays drawn from a point's lobe; where above 0, the light that they find is theirs to add
+            (`methods.glossy.reflect`, called with the same numbers).
+
+    Returns:
+        ((N, 3) float32 W/m^2, (N, 3) float32 W/m^2/sr, number of rays traced).
+    """
+    receivers = Receivers(*(getattr(points, name) for name in Receivers._fields))
+    glossy = np.zeros((len(points.position), 3), np.float32)
+    irradiance, rays = _direct(scene, receivers, samples, reflections, seed, threads, progress, first, glossy)
+    return irradiance, glossy, rays
+
+
+def _direct(scene, points: Receivers, samples, reflections, seed, threads, progress, first, glossy):
     n = len(points.position)
     out = np.zeros((n, 3), np.float32)
     if len(scene.emitters.groups) == 0 or samples < 1:
         return out, 0
 
     def work(begin, end):
-        return _direct_chunk(
-            scene, points.position, points.ns, points.ng, points.error, begin, end, samples, np.uint32(seed), np.int64(first), out
-        )
+        return _direct_chunk(scene, points, begin, end, samples, reflections, np.uint32(seed), np.int64(first), out, glossy)
 
     return out, sum(run_chunks(work, n, CHUNK, threads, progress))

@@ -74,6 +74,37 @@ def spread_attenuation(lamps, i, tangent):
     return max(_0, _1 - tangent / limit)
 
 
+@inlined
+def lamp_cone(radius, soft, d2):
+    """1 - cos of the half angle that a sphere, or a disk that faces the point, fills at the squared distance d2; 2 within it."""
+    r2 = radius * radius
+    if soft:
+        return one_minus_cos(r2 / (d2 + r2))
+    return one_minus_cos(r2 / d2) if d2 > r2 else _2
+
+
+@inlined
+def area_view(lamps, i, px, py, pz):
+    """The point p in an area lamp's own axes -> (x, y, height before it; light leaves to positive heights)."""
+    vx, vy, vz = px - lamps[i, POSITION], py - lamps[i, POSITION + 1], pz - lamps[i, POSITION + 2]
+    x = vx * lamps[i, AXIS_X] + vy * lamps[i, AXIS_X + 1] + vz * lamps[i, AXIS_X + 2]
+    y = vx * lamps[i, AXIS_Y] + vy * lamps[i, AXIS_Y + 1] + vz * lamps[i, AXIS_Y + 2]
+    return x, y, -(vx * lamps[i, AXIS_Z] + vy * lamps[i, AXIS_Z + 1] + vz * lamps[i, AXIS_Z + 2])
+
+
+@inlined
+def area_part(lamps, i, ellipse, x, y, height):
+    """The part of an area lamp that `sample_area` samples -> (x0, x1, y0, y1, whether by area on the whole ellipse)."""
+    half_x, half_y = _HALF * lamps[i, SIZE], _HALF * lamps[i, SIZE + 1]
+    reach = height * lamps[i, TAN_HALF_SPREAD]
+    # Below this distance the density of area samples varies more than rejection costs.
+    longer = max(half_x, half_y)
+    beside = max(_0, np.float32(math.sqrt(x * x + y * y)) - longer)
+    far = beside * beside + height * height > _HALF * longer * longer
+    by_area = ellipse and far and reach > _2 * (half_x + half_y + abs(x) + abs(y))
+    return max(-half_x, x - reach), min(half_x, x + reach), max(-half_y, y - reach), min(half_y, y + reach), by_area
+
+
 @kernel
 def sample_point(lamps, i, soft, px, py, pz, nx, ny, nz, u1, u2):
     """Point and spot lamps -> (d, distance, radiance factor / density).
@@ -92,14 +123,13 @@ def sample_point(lamps, i, soft, px, py, pz, nx, ny, nz, u1, u2):
         dx, dy, dz, t = vx, vy, vz, d
         weight = _1 / d2
     elif soft:
-        sin2 = r * r / (d2 + r * r)
-        cone = one_minus_cos(sin2)
+        cone = lamp_cone(r, True, d2)
         lx, ly, lz = uniform_cone(u1, u2, cone)
         dx, dy, dz = to_world(lx, ly, lz, vx, vy, vz)
         t = d / lz
         weight = _2PI * cone
     elif d2 > r * r:
-        cone = one_minus_cos(r * r / d2)
+        cone = lamp_cone(r, False, d2)
         lx, ly, lz = uniform_cone(u1, u2, cone)
         dx, dy, dz = to_world(lx, ly, lz, vx, vy, vz)
         t = d * lz - np.float32(math.sqrt(max(_0, r * r - d2 * (_1 - lz * lz))))
@@ -130,23 +160,14 @@ def sample_area(lamps, i, ellipse, px, py, pz, u1, u2):
     Only the part of the lamp whose spread reaches the point is sampled.  Rectangles: uniform in solid angle.
     Ellipses: uniform in area where the lamp is far, else the rectangle around them with rejected corners.
     """
-    vx, vy, vz = px - lamps[i, POSITION], py - lamps[i, POSITION + 1], pz - lamps[i, POSITION + 2]
-    x = vx * lamps[i, AXIS_X] + vy * lamps[i, AXIS_X + 1] + vz * lamps[i, AXIS_X + 2]
-    y = vx * lamps[i, AXIS_Y] + vy * lamps[i, AXIS_Y + 1] + vz * lamps[i, AXIS_Y + 2]
-    height = -(vx * lamps[i, AXIS_Z] + vy * lamps[i, AXIS_Z + 1] + vz * lamps[i, AXIS_Z + 2])
+    x, y, height = area_view(lamps, i, px, py, pz)
     if not height > _0:
         return _0, _0, _1, _0, _0
     half_x, half_y = _HALF * lamps[i, SIZE], _HALF * lamps[i, SIZE + 1]
-    reach = height * lamps[i, TAN_HALF_SPREAD]
-    x0, x1 = max(-half_x, x - reach), min(half_x, x + reach)
-    y0, y1 = max(-half_y, y - reach), min(half_y, y + reach)
+    x0, x1, y0, y1, by_area = area_part(lamps, i, ellipse, x, y, height)
     if not (x0 < x1 and y0 < y1):
         return _0, _0, _1, _0, _0
-    # Below this distance the density of area samples varies more than rejection costs.
-    longer = max(half_x, half_y)
-    beside = max(_0, np.float32(math.sqrt(x * x + y * y)) - longer)
-    far = beside * beside + height * height > _HALF * longer * longer
-    if ellipse and far and reach > _2 * (half_x + half_y + abs(x) + abs(y)):
+    if by_area:
         a, b = concentric_disk(u1, u2)
         sx, sy = a * half_x - x, b * half_y - y
         r2 = sx * sx + sy * sy + height * height
@@ -166,22 +187,34 @@ def sample_area(lamps, i, ellipse, px, py, pz, u1, u2):
     return dx, dy, dz, t, weight
 
 
-@kernel
-def sample_mesh_triangle(shapes, i, px, py, pz, u1, u2):
-    """Emissive triangles -> (d, distance, 1 / density, u, v): uniform in solid angle near by, in area far away."""
+@inlined
+def triangle_view(shapes, i, px, py, pz):
+    """A triangle from p -> (a, e, f, near, coplanar): first corner relative to p, edges, how `sample_mesh_triangle` sees it.
+
+    A point in the triangle's plane, to rounding, is not lit by it: seen from its own surface it would fill half of
+    all directions.
+    """
     c = CORNERS
     ax, ay, az = shapes[i, c] - px, shapes[i, c + 1] - py, shapes[i, c + 2] - pz
     ex, ey, ez = shapes[i, c + 3] - shapes[i, c], shapes[i, c + 4] - shapes[i, c + 1], shapes[i, c + 5] - shapes[i, c + 2]
     fx, fy, fz = shapes[i, c + 6] - shapes[i, c], shapes[i, c + 7] - shapes[i, c + 1], shapes[i, c + 8] - shapes[i, c + 2]
-    nx, ny, nz = shapes[i, NORMAL], shapes[i, NORMAL + 1], shapes[i, NORMAL + 2]
     third = np.float32(1 / 3)
     mx, my, mz = ax + third * (ex + fx), ay + third * (ey + fy), az + third * (ez + fz)
     longest = max(ex * ex + ey * ey + ez * ez, fx * fx + fy * fy + fz * fz, (fx - ex) ** 2 + (fy - ey) ** 2 + (fz - ez) ** 2)
-    # A point in the triangle's plane, to rounding, is not lit by it: seen from its own surface it would fill half of all directions.
     rounding = _COPLANAR * (abs(px) + abs(py) + abs(pz) + np.float32(math.sqrt(longest)))
-    if abs(ax * nx + ay * ny + az * nz) <= rounding:
+    coplanar = abs(ax * shapes[i, NORMAL] + ay * shapes[i, NORMAL + 1] + az * shapes[i, NORMAL + 2]) <= rounding
+    return ax, ay, az, ex, ey, ez, fx, fy, fz, longest > np.float32(0.1) * (mx * mx + my * my + mz * mz), coplanar
+
+
+@kernel
+def sample_mesh_triangle(shapes, i, px, py, pz, u1, u2):
+    """Emissive triangles -> (d, distance, 1 / density, u, v): uniform in solid angle near by, in area far away."""
+    ax, ay, az, ex, ey, ez, fx, fy, fz, near, coplanar = triangle_view(shapes, i, px, py, pz)
+    nx, ny, nz = shapes[i, NORMAL], shapes[i, NORMAL + 1], shapes[i, NORMAL + 2]
+    third = np.float32(1 / 3)
+    if coplanar:
         return nx, ny, nz, _1, _0, third, third
-    if longest > np.float32(0.1) * (mx * mx + my * my + mz * mz):
+    if near:
         dx, dy, dz, angle = sample_triangle(ax, ay, az, ax + ex, ay + ey, az + ez, ax + fx, ay + fy, az + fz, u1, u2)
         if angle > 0.0:
             # Where the direction meets the plane: distance and barycentric coordinates (Cramer's rule).

@@ -47,6 +47,26 @@ def sample_rectangle(x0, x1, y0, y1, height, u1, u2):
 
 
 @kernel(fast=False)
+def rectangle_angle(x0, x1, y0, y1, height):
+    """Solid angle (sr) of the rectangle [x0, x1] x [y0, y1] in the plane z = height from the origin; height > 0."""
+    return _corner(x1, y1, height) - _corner(x0, y1, height) - _corner(x1, y0, height) + _corner(x0, y0, height)
+
+
+@kernel(fast=False)
+def _corner(x, y, height):
+    return math.atan(x * y / (height * math.sqrt(x * x + y * y + height * height)))
+
+
+@kernel(fast=False)
+def triangle_angle(ax, ay, az, bx, by, bz, cx, cy, cz):
+    """Solid angle (sr) of the triangle abc from the origin (Van Oosterom & Strackee 1983)."""
+    la, lb, lc = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz), math.sqrt(cx * cx + cy * cy + cz * cz)
+    volume = abs(ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx))
+    ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
+    return 2.0 * math.atan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
+
+
+@kernel(fast=False)
 def _angle_between(ax, ay, az, bx, by, bz):
     """Angle of two unit vectors, exact for nearly parallel ones (Kahan)."""
     if ax * bx + ay * by + az * bz < 0.0:

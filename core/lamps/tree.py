@@ -13,6 +13,10 @@ import numpy as np
 from ..jit import inlined, kernel
 from .tables import AXIS, COS_E, COS_O, ENERGY, LOWER, UPPER
 
+CUT = 32  # nodes of a point's cut through the tree
+CANDIDATES = 3
+_FINE = np.float32(64.0)  # nodes above this fraction of the total are opened
+
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _HALF = np.float32(0.5)
@@ -53,8 +57,40 @@ def importance(nodes, two_sided, node, px, py, pz, nx, ny, nz):
 
 
 @kernel
+def cut_for(nodes, two_sided, children, root, px, py, pz, nx, ny, nz, members, cdf):
+    """A cut through the tree for one point, finer where more light comes from -> (number of nodes, sum).
+
+    members: (CUT,) int32, cdf: (CUT,) float32 are filled with nodes and the running sums of their importances.
+    Inner nodes know little of what comes from them; those of more than an average share are opened.
+    """
+    n = nodes.shape[0] - children.shape[0]
+    members[0] = root
+    cdf[0] = importance(nodes, two_sided, root, px, py, pz, nx, ny, nz)
+    total = cdf[0]
+    size = 1
+    at = 0
+    while at < size:
+        node = members[at]
+        if node >= n and cdf[at] > _0 and size < members.shape[0] and cdf[at] * _FINE > total:
+            left, right = children[node - n, 0], children[node - n, 1]
+            a = importance(nodes, two_sided, left, px, py, pz, nx, ny, nz)
+            b = importance(nodes, two_sided, right, px, py, pz, nx, ny, nz)
+            total += a + b - cdf[at]
+            members[at], cdf[at] = left, a
+            members[size], cdf[size] = right, b
+            size += 1
+        else:
+            at += 1
+    total = _0
+    for k in range(size):
+        total += cdf[k]
+        cdf[k] = total
+    return size, total
+
+
+@kernel
 def descend(nodes, two_sided, children, root, px, py, pz, nx, ny, nz, u):
-    """An emitter of the tree for p with normal n -> (emitter or -1, its probability); u in [0, 1)."""
+    """An emitter below a node for p with normal n -> (emitter or -1, its probability); u in [0, 1)."""
     n = nodes.shape[0] - children.shape[0]
     node = root
     probability = _1
@@ -75,6 +111,49 @@ def descend(nodes, two_sided, children, root, px, py, pz, nx, ny, nz, u):
             probability *= _1 - share
         u = min(u, np.float32(0.99999994))
     return node, probability
+
+
+@kernel
+def choose(nodes, two_sided, children, px, py, pz, nx, ny, nz, members, cdf, size, u, pick):
+    """An emitter of the tree for p with normal n -> (emitter or -1, 1 / probability).
+
+    members, cdf, size: from `cut_for`.  u, pick: uniform in [0, 1).
+    Of CANDIDATES drawn from the cut one is kept in proportion to its own importance (resampled importance sampling,
+    Talbot et al. 2005): what inner nodes misjudge averages out before a ray is spent on it.
+    """
+    total = cdf[size - 1]
+    kept, kept_importance, weight_sum = -1, _0, _0
+    for j in range(CANDIDATES):
+        v = u + np.float32(j) / np.float32(CANDIDATES)
+        v = (v - _1 if v >= _1 else v) * total
+        low, high = 0, size - 1
+        while low < high:
+            middle = (low + high) >> 1
+            if cdf[middle] > v:
+                high = middle
+            else:
+                low = middle + 1
+        before = cdf[low - 1] if low > 0 else _0
+        share = cdf[low] - before
+        if not share > _0:
+            continue
+        rest = min(max((v - before) / share, _0), np.float32(0.99999994))
+        e, probability = descend(nodes, two_sided, children, members[low], px, py, pz, nx, ny, nz, rest)
+        own = importance(nodes, two_sided, e, px, py, pz, nx, ny, nz) if e >= 0 else _0
+        if not own > _0:
+            continue
+        w = own * total / (share * probability)
+        weight_sum += w
+        chance = w / weight_sum
+        if pick < chance:
+            kept, kept_importance = e, own
+            pick = pick / chance
+        else:
+            pick = (pick - chance) / (_1 - chance)
+        pick = min(pick, np.float32(0.99999994))
+    if kept < 0:
+        return -1, _0
+    return kept, weight_sum / (np.float32(CANDIDATES) * kept_importance)
 
 
 @kernel

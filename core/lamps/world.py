@@ -125,6 +125,24 @@ def _sample_pixel(rows, columns, u1, u2):
     return r * np.float32(math.cos(phi)), r * np.float32(math.sin(phi)), z, y, x, density
 
 
+@inlined
+def _pixel_density(world, y, x, height, width):
+    """Density (per sr) of drawing a direction in pixel (y, x) from the CDFs for direct light."""
+    p = (world.rows[y + 1] - world.rows[y]) * (world.columns[y, x + 1] - world.columns[y, x])
+    return p * np.float32(width) / (_2PI * (_row_edge(y, height) - _row_edge(y + 1, height)))
+
+
+@kernel
+def world_density(world, nx, ny, nz, dx, dy, dz):
+    """Density (per sr) with which `sample_world` gives the direction d on a surface with normal n."""
+    cosine = max(_0, dx * nx + dy * ny + dz * nz)
+    if not world.varies:
+        return cosine * _1_PI
+    height, width = world.radiance.shape[0], world.radiance.shape[1]
+    y, x = _pixel(world, dx, dy, dz, height, width)
+    return _HALF * (cosine * _1_PI + _pixel_density(world, y, x, height, width))
+
+
 @kernel
 def sample_world(world, nx, ny, nz, u1, u2):
     """Direction for direct light on a surface with normal n -> (d, radiance / density): six float32."""
@@ -139,9 +157,7 @@ def sample_world(world, nx, ny, nz, u1, u2):
         dx, dy, dz = to_world(lx, ly, lz, nx, ny, nz)
         cosine = lz
         y, x = _pixel(world, dx, dy, dz, height, width)
-        top, bottom = _row_edge(y, height), _row_edge(y + 1, height)
-        p = (world.rows[y + 1] - world.rows[y]) * (world.columns[y, x + 1] - world.columns[y, x])
-        density = p * np.float32(width) / (_2PI * (top - bottom))
+        density = _pixel_density(world, y, x, height, width)
     else:
         dx, dy, dz, y, x, density = _sample_pixel(world.rows, world.columns, u1 * _2 - _1, u2)
         cosine = max(_0, dx * nx + dy * ny + dz * nz)

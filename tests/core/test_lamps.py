@@ -14,14 +14,15 @@ from lumigate.core.lamps.emission import emit
 from lumigate.core.lamps.sample import sample_emitter
 from lumigate.core.rays import RayScene, new_packet
 from lumigate.core.sampling.sequences import sobol
-from lumigate.core.surfaces.layout import SURFACE
-from lumigate.core.surfaces.program import new_registers
+from lumigate.core.surfaces.layout import SURFACE, TRANSPARENCY
+from lumigate.core.surfaces.program import ATTRIBUTE, BACKFACING, EMISSION_CLOSURE, END, REGISTERS, SCALE, new_registers
 from lumigate.core.transport import transport
 
 from .conftest import camera, geometry, materials, quads
 
 UP = (0.0, 0.0, 1.0)
 RECEIVER = [(-4, -4, 0), (4, -4, 0), (4, 4, 0), (-4, 4, 0)]
+EMISSIVE_QUAD = [(0.5, -0.4, 0.3), (0.9, 0.5, 0.5), (0.2, 0.6, 1.5), (-0.2, -0.3, 1.3)]
 AWAY = [(90, 90, 0), (90.1, 90, 0), (90.1, 90.1, 0), (90, 90.1, 0)]  # where nothing must stand in the way
 
 
@@ -64,7 +65,8 @@ class Lit:
 
     def __init__(self, scene):
         g = scene.geometry
-        self.rays = RayScene(g.vertices, g.triangles, g.object_visibility[g.object])
+        transparent = (scene.materials.tables.flags[g.material] & sc.TRANSPARENT) != 0
+        self.rays = RayScene(g.vertices, g.triangles, g.object_visibility[g.object], transparent)
         self.emitters = build_emitters(scene)
         self.tables = transport(g, scene.materials.tables, self.rays.tables, self.emitters)
 
@@ -170,6 +172,31 @@ def test_shadows():
         assert not blocked[0].any() and np.array_equal(blocked[1], open_plane[1])
         rows[0]["cast_shadow"] = 0
         assert np.allclose(lit(*rows, quad=(RECEIVER, blocker))(below), open_plane, rtol=1e-5)
+
+
+def test_cut_outs_let_their_share_through():
+    blocker = [(-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)]
+    above = [(-1, -1, 2), (1, -1, 2), (1, 1, 2), (-1, 1, 2)]
+    for rows in ([lamp(sc.POINT, 10, (0.1, 0, 3))], [lamp(sc.SUN, 3, angle=0)], [lamp(sc.POINT, 1, (0.1 * k, 0, 3)) for k in range(10)]):
+        scene = scene_of(*rows, quad=(RECEIVER, blocker, above), material=[0, 1, 1], surfaces=((0.5, 0), (0, 0)))
+        tables = scene.materials.tables
+        tables.flags[1] |= sc.TRANSPARENT
+        tables.constant[1, TRANSPARENCY : TRANSPARENCY + 3] = 0.9, 0.5, 0.0
+        below = [[0, 0.1, 0]]
+        expected = lit(*rows)(below) * np.array([0.81, 0.25, 0])
+        light = Lit(scene)
+        assert np.allclose(light(below), expected, rtol=0.02)
+        single = one_ray_each(light.tables, np.float32(below[0]), 20000, np.uint32(1))
+        assert np.allclose(single, expected[0], rtol=0.02)
+
+
+def test_objects_that_cast_no_shadow():
+    blocker = [(-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)]
+    scene = scene_of(lamp(sc.POINT, 10, (0, 0, 3)), quad=(RECEIVER, blocker))
+    g = scene.geometry
+    g.object[2:] = 1
+    g.object_names, g.object_visibility = ["floor", "blocker"], np.array([sc.ALL_RAYS, sc.ALL_RAYS & ~sc.SHADOW], np.uint8)
+    assert np.allclose(Lit(scene)([[0, 0, 0]]), 10 / 9, rtol=1e-5)
 
 
 def test_world_through_a_skylight():
@@ -351,6 +378,72 @@ def test_triangle_by_lamberts_formula():
         assert np.allclose(lit(**emissive)([p], samples=2048)[0], total, rtol=4e-3)
 
 
+# -- textured emitters -------------------------------------------------------------------------------------
+
+
+def textured_scene(back_only=False):
+    """A receiver under a quad whose radiance is the attribute of its corners; optionally of its back only."""
+    scene = scene_of(quad=(RECEIVER, EMISSIVE_QUAD), material=[0, 1], surfaces=((0.5, 0), (0, 1.0)))
+    code = [[ATTRIBUTE, 0, 0, 0, 0, 0, 0, 0]]
+    code += [[BACKFACING, 1, 0, 0, 0, 0, 0, 0], [SCALE, 0, 0, 1, 0, 0, 0, 0]] if back_only else []
+    code += [[EMISSION_CLOSURE, 2, 0, 0, 0, REGISTERS, 0, 0], [END] + [0] * 7]
+    tables = scene.materials.tables
+    flags = np.array([sc.CONSTANT, sc.EMISSIVE], np.int32)
+    scene.materials.tables = tables._replace(code=np.array(code, np.int32), constants=np.ones((1, 4), np.float32), flags=flags)
+    corner = np.array([[8, 1, 0], [0, 1, 0], [2, 5, 0], [0, 0, 3]], np.float32)
+    scene.geometry.attributes[0, 2:, :, :3] = corner[[[0, 1, 2], [0, 2, 3]]]
+    return scene
+
+
+def textured_quadrature(p, n, cells=400):
+    """Irradiance of `textured_scene` by midpoints over both triangles, float64."""
+    total = np.zeros(3)
+    q, value = np.array(EMISSIVE_QUAD), np.array([[8, 1, 0], [0, 1, 0], [2, 5, 0], [0, 0, 3.0]])
+    s = (np.arange(cells) + 0.5) / cells
+    a, b = np.meshgrid(s, s)
+    a, b = (1 - np.sqrt(a)), np.sqrt(a) * b  # uniform on a triangle
+    for corners in ([0, 1, 2], [0, 2, 3]):
+        c, w = q[corners], value[corners]
+        x = c[0] + a[..., None] * (c[1] - c[0]) + b[..., None] * (c[2] - c[0])
+        radiance = w[0] + a[..., None] * (w[1] - w[0]) + b[..., None] * (w[2] - w[0])
+        cross = np.cross(c[1] - c[0], c[2] - c[0])
+        d = x - p
+        r = np.linalg.norm(d, axis=-1)
+        d /= r[..., None]
+        g = np.maximum(d @ n, 0) * np.abs(d @ cross) / 2 / r**2
+        total += (radiance * g[..., None]).mean((0, 1))
+    return total
+
+
+def test_textured_emitter_by_quadrature():
+    light = Lit(textured_scene())
+    for p in (np.array([0.1, -0.2, 0.05]), np.array([2.0, 1, 0.1]), np.array([-2, 1, 0.1])):
+        assert np.allclose(light([p], samples=1024)[0], textured_quadrature(p, np.array(UP)), rtol=5e-3)
+
+
+def test_emission_of_one_side_only():
+    both, back = Lit(textured_scene()), Lit(textured_scene(back_only=True))
+    corners = np.array(EMISSIVE_QUAD)
+    cross = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    for side in (1, -1):
+        n = side * cross / np.linalg.norm(cross)
+        p = corners.mean(0) + 0.5 * n
+        if side > 0:
+            assert not back([p], normal=-n).any()
+        else:
+            assert np.allclose(back([p], normal=-n, samples=512), both([p], normal=-n, samples=512), rtol=0.01)
+
+
+def test_dark_textured_triangles_stay_possible():
+    """Triangles whose few samples were dark are drawn seldom, not never; those of dark materials not at all."""
+    scene = textured_scene()
+    scene.geometry.attributes[0, 3] = 0
+    emitters = build_emitters(scene)
+    assert len(emitters.triangle) == 2 and 0 < emitters.radiance[1].max() < 0.03 * emitters.radiance[0].max()
+    scene.geometry.attributes[:] = 0
+    assert len(build_emitters(scene).triangle) == 0
+
+
 # -- many lamps --------------------------------------------------------------------------------------------
 
 
@@ -389,8 +482,7 @@ def test_tree_is_far_better_than_picks_by_flux():
     power = light.emitters.flux.mean(1) / light.emitters.flux.mean()
     each = np.stack([lit(row)(points, samples=1, copies=1)[:, 0] for row in rows[:60]], 1) * len(rows) / power[:60]
     by_flux = each.std(1) / each.mean(1) / math.sqrt(8)
-    print(np.median(spread), np.median(by_flux))
-    assert np.median(spread) < 0.5 * np.median(by_flux)
+    assert np.median(spread) < 0.3 * np.median(by_flux)
 
 
 def test_fewer_samples_than_lamps_stay_unbiased():
@@ -503,7 +595,6 @@ def cell_irradiance(light, cells=4, half=2.0, plane=0.0, side=24, samples=64):
     return e.reshape(cells, side, cells, side, 3).mean((1, 3))
 
 
-EMISSIVE_QUAD = [(0.5, -0.4, 0.3), (0.9, 0.5, 0.5), (0.2, 0.6, 1.5), (-0.2, -0.3, 1.3)]
 SENDERS = {
     "point": ([lamp(sc.POINT, (10, 5, 2), (0.5, 0.2, 1))], {}),
     "sphere": ([lamp(sc.POINT, (10, 5, 2), (0.5, 0.2, 1), radius=0.6)], {}),
@@ -521,6 +612,7 @@ SENDERS = {
     "constant world": ([], dict(world=0.7)),
     "world": ([], dict(world=sky(12, 24))),
     "mesh": ([], dict(quad=(RECEIVER, EMISSIVE_QUAD), material=[0, 1], surfaces=((0.5, 0), (0, (10, 5, 2))))),
+    "texture": ([], {}),
     "all": ([AREAS["tilted"], SPOTS["smooth"], lamp(sc.SUN, 0.1)], dict(world=0.1)),
 }
 
@@ -528,11 +620,12 @@ SENDERS = {
 @pytest.mark.parametrize("name", SENDERS)
 def test_particles_carry_the_light_that_direct_light_finds(name):
     rows, options = SENDERS[name]
-    light = lit(*rows, **options)
+    light = lit(*rows, **options) if name != "texture" else Lit(textured_scene())
     expected = cell_irradiance(light)
     found, power, hits = emitted(light.emitters, 2**20)
-    assert np.allclose(power, light.emitters.flux.sum(0), rtol=5e-3)
-    share = light.emitters.flux.mean(1) / light.emitters.flux.mean(1).sum()
+    assert np.allclose(power, light.emitters.flux.sum(0), rtol=5e-3 if name != "texture" else 0.1)
+    share = np.diff(light.emitters.emission_cdf)
+    assert np.allclose(share, light.emitters.flux.mean(1) / light.emitters.flux.mean(1).sum())
     assert np.abs(hits - share * 2**20).max() <= 1
     assert abs(found.sum() / expected.sum() - 1) < 5e-3
     assert np.abs(found - expected).max() < 0.015 * expected.max()

@@ -1,0 +1,137 @@
+"""Emitters met by rays that were not aimed at them: their light along a ray, and how likely `sample_emitter` aims there.
+
+Multiple importance sampling (Veach 1997, chapter 9) of glossy surfaces needs both.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..jit import inlined, kernel
+from ..scene import AREA, SUN
+from .shapes import area_part, area_view, lamp_cone, spot_attenuation, spread_attenuation, triangle_view
+from .solid_angle import rectangle_angle, triangle_angle
+from .tables import (
+    AREA_M2,
+    AXIS_X,
+    AXIS_Y,
+    AXIS_Z,
+    ELLIPTIC,
+    NORMAL,
+    ONE_MINUS_COS,
+    POSITION,
+    RADIUS,
+    SIZE,
+    SOFT,
+    TRIANGLE,
+    WORLD,
+)  # fmt: skip
+from .world import world_density
+
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+_2 = np.float32(2.0)
+_HALF = np.float32(0.5)
+_1_2PI = np.float32(0.5 / math.pi)
+_1_PI = np.float32(1 / math.pi)
+_INFINITY = np.float32(np.inf)
+
+
+@inlined
+def can_be_met(emitters, e):
+    """Whether emitter e has a size, so that a ray can meet it."""
+    if emitters.kind[e] >= WORLD or emitters.kind[e] == AREA:
+        return True
+    return emitters.lamps[e, ONE_MINUS_COS if emitters.kind[e] == SUN else RADIUS] > _0
+
+
+@inlined
+def _one_minus_cos_between(ax, ay, az, bx, by, bz):
+    """1 - cos of two unit vectors, exact for small angles."""
+    x, y, z = ax - bx, ay - by, az - bz
+    return _HALF * (x * x + y * y + z * z)
+
+
+@kernel
+def lamp_along(emitters, e, px, py, pz, dx, dy, dz):
+    """Lamp e along the unit direction d from p -> (distance, share of its radiance); the share is 0 where it is not met.
+
+    e: a lamp (below `WORLD`).
+    """
+    lamps, flags = emitters.lamps, emitters.flags[e]
+    if emitters.kind[e] == SUN:
+        off = _one_minus_cos_between(dx, dy, dz, lamps[e, AXIS_Z], lamps[e, AXIS_Z + 1], lamps[e, AXIS_Z + 2])
+        return _INFINITY, _1 if off < lamps[e, ONE_MINUS_COS] else _0
+    if emitters.kind[e] == AREA:
+        x, y, height = area_view(lamps, e, px, py, pz)
+        along = dx * lamps[e, AXIS_Z] + dy * lamps[e, AXIS_Z + 1] + dz * lamps[e, AXIS_Z + 2]
+        if not (height > _0 and along > _0):
+            return _0, _0
+        t = height / along
+        sx = t * (dx * lamps[e, AXIS_X] + dy * lamps[e, AXIS_X + 1] + dz * lamps[e, AXIS_X + 2])
+        sy = t * (dx * lamps[e, AXIS_Y] + dy * lamps[e, AXIS_Y + 1] + dz * lamps[e, AXIS_Y + 2])
+        a, b = _2 * (x + sx) / lamps[e, SIZE], _2 * (y + sy) / lamps[e, SIZE + 1]
+        outside = a * a + b * b > _1 if flags & ELLIPTIC else max(abs(a), abs(b)) > _1
+        if outside:
+            return _0, _0
+        return t, spread_attenuation(lamps, e, np.float32(math.sqrt(sx * sx + sy * sy)) / height)
+    radius = lamps[e, RADIUS]
+    vx, vy, vz = lamps[e, POSITION] - px, lamps[e, POSITION + 1] - py, lamps[e, POSITION + 2] - pz
+    d2 = vx * vx + vy * vy + vz * vz
+    if not (radius > _0 and d2 > np.float32(1e-12)):
+        return _0, _0
+    d = np.float32(math.sqrt(d2))
+    along = (vx * dx + vy * dy + vz * dz) / d
+    cone = lamp_cone(radius, flags & SOFT, d2)
+    if cone < _2 and _one_minus_cos_between(dx, dy, dz, vx / d, vy / d, vz / d) >= cone:
+        return _0, _0
+    if flags & SOFT:
+        t = d / along
+    else:
+        half = np.float32(math.sqrt(max(_0, radius * radius - d2 * (_1 - along * along))))
+        if cone == _2:
+            return d * along + half, _1
+        t = d * along - half
+    cosine = lamps[e, AXIS_Z] * dx + lamps[e, AXIS_Z + 1] * dy + lamps[e, AXIS_Z + 2] * dz
+    return t, spot_attenuation(lamps, e, cosine)
+
+
+@kernel
+def emitter_density(emitters, e, px, py, pz, nx, ny, nz, dx, dy, dz):
+    """Density (per sr) of `sample_emitter` for the surface p with normal n in a direction d that meets emitter e."""
+    lamps, kind, flags = emitters.lamps, emitters.kind[e], emitters.flags[e]
+    if kind == TRIANGLE:
+        i, shapes = e - emitters.first_triangle, emitters.shapes
+        ax, ay, az, ex, ey, ez, fx, fy, fz, near, coplanar = triangle_view(shapes, i, px, py, pz)
+        if coplanar:
+            return _0
+        if near:
+            angle = triangle_angle(ax, ay, az, ax + ex, ay + ey, az + ez, ax + fx, ay + fy, az + fz)
+            if angle > 1e-7:
+                return np.float32(1.0 / angle)
+        facing = dx * shapes[i, NORMAL] + dy * shapes[i, NORMAL + 1] + dz * shapes[i, NORMAL + 2]
+        t = (ax * shapes[i, NORMAL] + ay * shapes[i, NORMAL + 1] + az * shapes[i, NORMAL + 2]) / facing
+        return t * t / max(abs(facing) * shapes[i, AREA_M2], np.float32(1e-30))
+    if kind == WORLD:
+        return world_density(emitters.world, nx, ny, nz, dx, dy, dz)
+    if kind == SUN:
+        return _1_2PI / lamps[e, ONE_MINUS_COS]
+    if kind == AREA:
+        x, y, height = area_view(lamps, e, px, py, pz)
+        x0, x1, y0, y1, by_area = area_part(lamps, e, flags & ELLIPTIC, x, y, height)
+        if not (height > _0 and x0 < x1 and y0 < y1):
+            return _0
+        if not by_area:
+            angle = rectangle_angle(x0 - x, x1 - x, y0 - y, y1 - y, height)
+            if angle > 1e-9:
+                return np.float32(1.0 / angle)
+        area = (x1 - x0) * (y1 - y0) * (np.float32(math.pi / 4) if by_area else _1)
+        along = dx * lamps[e, AXIS_Z] + dy * lamps[e, AXIS_Z + 1] + dz * lamps[e, AXIS_Z + 2]
+        return height * height / max(area * along * along * along, np.float32(1e-30))
+    vx, vy, vz = lamps[e, POSITION] - px, lamps[e, POSITION + 1] - py, lamps[e, POSITION + 2] - pz
+    cone = lamp_cone(lamps[e, RADIUS], flags & SOFT, vx * vx + vy * vy + vz * vz)
+    if cone == _2:
+        return max(dx * nx + dy * ny + dz * nz, np.float32(1e-6)) * _1_PI
+    return _1_2PI / cone
