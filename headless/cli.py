@@ -32,7 +32,14 @@ def main(argv: list[str] | None = None, *, in_blender: bool = False) -> int:
         arguments = parse(argv, in_blender=in_blender)
     except SystemExit as stop:  # argparse has printed its line
         return int(stop.code or 0)
-    return _run(arguments)
+    try:
+        return _run(arguments)
+    except ModuleNotFoundError as error:  # a Blender's own Python has only what the extension brought
+        package = (error.name or "lumigate").partition(".")[0]
+        if package == "lumigate":
+            raise
+        print(f"lumigate: error: Python has no package {package!r}; install Lumigate with pip, or its extension's zip", file=sys.stderr)
+        return 2
 
 
 def _run(arguments) -> int:
@@ -63,7 +70,8 @@ def _terminate_as_interrupt():
 
 
 if __name__ == "__main__":
-    _load_package()
+    if not __package__:
+        _load_package()
     from lumigate.headless.cli import main as package_main
 
     sys.exit(package_main(in_blender="bpy" in sys.modules))

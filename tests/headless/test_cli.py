@@ -233,6 +233,13 @@ def test_ctrl_c_leaves_nothing_and_says_so(rendered, tmp_path):
     assert names(tmp_path) == []
 
 
+def test_missing_package_is_named():
+    code = "import sys; sys.modules['rich'] = None; from lumigate.headless.cli import main; sys.exit(main(['inspect', 'cornell']))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr.count("\n")) == (2, 1)
+    assert "'rich'" in result.stderr
+
+
 def test_help_needs_no_blender():
     """`--help` answers at once: neither bpy nor Numba is imported."""
     code = "import sys; from lumigate.headless.cli import main; status = main(['render', '--help']); print(status, {'bpy', 'numba'} & set(sys.modules))"
