@@ -27,7 +27,7 @@ class RayScene:
     vertices: (V, 3) float32.  triangles: (T, 3) int32.  visibility: (T,) uint8, bits of ray kinds
         (default: all).  transparent: (T,) bool (default: none).
     backend: 'embree', 'bvh', or 'auto': Embree where its wheel is installed.
-    Attributes: `tables` for kernels, valid until `close()`;  `backend`, the name of the one chosen.
+    Attributes: `tables` for kernels, valid until `close()` and no longer than this object;  `backend`, the name of the one chosen.
     """
 
     def __init__(self, vertices, triangles, visibility=None, transparent=None, backend: str = "auto", embree_config: str = ""):
