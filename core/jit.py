@@ -138,6 +138,19 @@ def inlined(function=None, **options):
     return decorate if function is None else decorate(function)
 
 
+def leaf(function=None, **options):
+    """A kernel that makes and keeps no array: it counts no references.
+
+    Counting them on every call would have all threads write to the same cache lines.
+    """
+    return kernel(function, _nrt=False, **options)
+
+
+def inlined_leaf(function=None, **options):
+    """An inlined device function that makes and keeps no array (see `leaf`)."""
+    return inlined(function, _nrt=False, **options)
+
+
 def c_function(signature):
     """A kernel compiled now, for one signature, as a C function: `.address` is what other kernels may call."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import inlined_leaf, leaf
 
 F = np.float32
 
@@ -49,25 +49,25 @@ _V_NORMALIZE = _V["NORMALIZE"]
 _AS_SCALAR = np.array([_S.get({"FRACTION": "FRACT"}.get(k, k), -1) for k in VECTOR_KINDS], np.int32)
 
 
-@inlined
+@inlined_leaf
 def safe_divide(a, b):
     """a / b, 0 where b is 0."""
     return a / b if b != F(0) else F(0)
 
 
-@inlined
+@inlined_leaf
 def sign(x):
     """-1, 0 or 1."""
     return F(0) if x == F(0) else F(-1) if x < F(0) else F(1)
 
 
-@inlined
+@inlined_leaf
 def fraction(x):
     """x - floor(x)."""
     return x - np.floor(x)
 
 
-@inlined
+@inlined_leaf
 def _smooth_minimum(a, b, k):
     if k == F(0):
         return min(a, b)
@@ -75,7 +75,7 @@ def _smooth_minimum(a, b, k):
     return min(a, b) - h * h * h * k * F(1 / 6)
 
 
-@kernel(fast=False)
+@leaf(fast=False)
 def power(a, b):
     """a ** b; 0 for a negative base with a fractional exponent."""
     if a < F(0) and b != np.floor(b):
@@ -83,7 +83,7 @@ def power(a, b):
     return a**b
 
 
-@kernel(fast=False)
+@leaf(fast=False)
 def scalar_math(kind, a, b, c):
     """The Math node: `kind` indexes SCALAR_KINDS."""
     if kind == _ADD:
@@ -169,7 +169,7 @@ def scalar_math(kind, a, b, c):
     return a * F(180 / np.pi)
 
 
-@inlined
+@inlined_leaf
 def normalized(x, y, z):
     """The unit vector; zeros stay zeros."""
     length = np.sqrt(x * x + y * y + z * z)
@@ -179,7 +179,7 @@ def normalized(x, y, z):
     return x * k, y * k, z * k
 
 
-@kernel(fast=False)
+@leaf(fast=False)
 def vector_math(kind, ax, ay, az, bx, by, bz, cx, cy, cz):
     """The Vector Math node: `kind` indexes VECTOR_KINDS; a scalar result fills all three components."""
     scalar = _AS_SCALAR[kind]
@@ -216,7 +216,7 @@ def vector_math(kind, ax, ay, az, bx, by, bz, cx, cy, cz):
     return s, s, s
 
 
-@kernel
+@leaf
 def rotate_euler(x, y, z, rx, ry, rz, inverse):
     """(x, y, z) turned by the XYZ Euler angles (radians), or back again."""
     sx, cx, sy, cy, sz, cz = np.sin(rx), np.cos(rx), np.sin(ry), np.cos(ry), np.sin(rz), np.cos(rz)
@@ -228,7 +228,7 @@ def rotate_euler(x, y, z, rx, ry, rz, inverse):
     return m00 * x + m01 * y + m02 * z, m10 * x + m11 * y + m12 * z, m20 * x + m21 * y + m22 * z
 
 
-@kernel
+@leaf
 def rotate_axis(x, y, z, ux, uy, uz, angle):
     """(x, y, z) turned about the axis (ux, uy, uz), of any length, by `angle` (Rodrigues)."""
     ux, uy, uz = normalized(ux, uy, uz)

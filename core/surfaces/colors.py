@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import inlined_leaf, leaf
 
 F = np.float32
 
@@ -23,13 +23,13 @@ BLEND = {name: i for i, name in enumerate(BLEND_KINDS)}
 RGB_TO_HSV, HSV_TO_RGB, RGB_TO_HSL, HSL_TO_RGB = range(4)
 
 
-@inlined
+@inlined_leaf
 def luminance(r, g, b):
     """Rec. 709 luminance, as Cycles reads a colour where a number is wanted."""
     return F(0.2126) * r + F(0.7152) * g + F(0.0722) * b
 
 
-@kernel
+@leaf
 def rgb_to_hsv(r, g, b):
     """Hue 0..1, saturation, value."""
     high, low = max(r, max(g, b)), min(r, min(g, b))
@@ -48,7 +48,7 @@ def rgb_to_hsv(r, g, b):
     return (h + F(1) if h < F(0) else h), s, high
 
 
-@kernel
+@leaf
 def hsv_to_rgb(h, s, v):
     """Inverse of `rgb_to_hsv`; hue 1 is hue 0."""
     if s == F(0):
@@ -70,7 +70,7 @@ def hsv_to_rgb(h, s, v):
     return v, p, q
 
 
-@inlined
+@inlined_leaf
 def _rgb_to_hsl(r, g, b):
     high, low = max(r, max(g, b)), min(r, min(g, b))
     lightness = min(F(1), (high + low) / F(2))
@@ -87,19 +87,19 @@ def _rgb_to_hsl(r, g, b):
     return h / F(6), s, lightness
 
 
-@inlined
+@inlined_leaf
 def _unit(x):
     return min(max(x, F(0)), F(1))
 
 
-@inlined
+@inlined_leaf
 def _hsl_to_rgb(h, s, lightness):
     chroma = (F(1) - abs(F(2) * lightness - F(1))) * s
     r, g, b = _unit(abs(h * F(6) - F(3)) - F(1)), _unit(F(2) - abs(h * F(6) - F(2))), _unit(F(2) - abs(h * F(6) - F(4)))
     return (r - F(0.5)) * chroma + lightness, (g - F(0.5)) * chroma + lightness, (b - F(0.5)) * chroma + lightness
 
 
-@kernel
+@leaf
 def convert(kind, x, y, z):
     """Between colour models; see the kinds above."""
     if kind == RGB_TO_HSV:
@@ -111,7 +111,7 @@ def convert(kind, x, y, z):
     return _hsl_to_rgb(x, y, z)
 
 
-@inlined
+@inlined_leaf
 def _blend_channel(kind, t, a, b):
     """The blending modes that treat each channel alone."""
     if kind == _MIX:
@@ -152,7 +152,7 @@ def _blend_channel(kind, t, a, b):
     return F(0) if k <= F(0) else _unit(F(1) - (F(1) - a) / k)
 
 
-@kernel
+@leaf
 def blend(kind, t, ar, ag, ab, br, bg, bb):
     """Colour a mixed with b by the factor t (not clamped); `kind` indexes BLEND_KINDS."""
     if kind < _HUE:
@@ -171,7 +171,7 @@ def blend(kind, t, ar, ag, ab, br, bg, bb):
     return ar + t * (r - ar), ag + t * (g - ag), ab + t * (b - ab)
 
 
-@inlined
+@inlined_leaf
 def gamma(x, exponent):
     """The Gamma node on one channel."""
     if exponent == F(0):
@@ -179,7 +179,7 @@ def gamma(x, exponent):
     return x**exponent if x > F(0) else x
 
 
-@inlined
+@inlined_leaf
 def lookup(table, channel, x, interpolate, extrapolate):
     """Column `channel` of a table of equidistant rows, at x in 0..1 (Cycles: rgb_ramp_lookup)."""
     size = table.shape[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import inlined_leaf, leaf
 from .hashing import float1, float2, hash1, hash2, hash3, hash4
 
 F = np.float32
@@ -14,30 +14,30 @@ FRACTAL_KINDS = ("MULTIFRACTAL", "FBM", "HYBRID_MULTIFRACTAL", "RIDGED_MULTIFRAC
 MULTIFRACTAL, FBM, HYBRID, RIDGED, HETERO = range(5)
 
 
-@inlined
+@inlined_leaf
 def _fade(t):
     return t * t * t * (t * (t * F(6) - F(15)) + F(10))
 
 
-@inlined
+@inlined_leaf
 def _signed(x, bit):
     return -x if bit else x
 
 
-@inlined
+@inlined_leaf
 def _gradient1(h, x):
     g = F(1) + F(h & 7)
     return _signed(g, h & 8) * x
 
 
-@inlined
+@inlined_leaf
 def _gradient2(h, x, y):
     h = h & 7
     u, v = (x, F(2) * y) if h < 4 else (y, F(2) * x)
     return _signed(u, h & 1) + _signed(v, h & 2)
 
 
-@inlined
+@inlined_leaf
 def _gradient3(h, x, y, z):
     h = h & 15
     u = x if h < 8 else y
@@ -45,7 +45,7 @@ def _gradient3(h, x, y, z):
     return _signed(u, h & 1) + _signed(v, h & 2)
 
 
-@inlined
+@inlined_leaf
 def _gradient4(h, x, y, z, w):
     h = h & 31
     u = x if h < 24 else y
@@ -54,7 +54,7 @@ def _gradient4(h, x, y, z, w):
     return _signed(u, h & 1) + _signed(v, h & 2) + _signed(s, h & 4)
 
 
-@inlined
+@inlined_leaf
 def _cell(x):
     """Cell and place in it; noise repeats every 100000 so that floats can tell places apart (Cycles: snoise)."""
     far = abs(x) >= F(1e6)
@@ -65,12 +65,12 @@ def _cell(x):
     return np.int32(f), x - f
 
 
-@inlined
+@inlined_leaf
 def _mix(a, b, t):
     return a + t * (b - a)
 
 
-@kernel
+@leaf
 def perlin(dimensions, x, y, z, w):
     """Signed Perlin noise, about -1..1, of the first `dimensions` coordinates (one: w)."""
     if dimensions == 1:
@@ -106,7 +106,7 @@ def perlin(dimensions, x, y, z, w):
     return F(0.8344) * total
 
 
-@kernel
+@leaf
 def fractal(kind, normalize, dimensions, x, y, z, w, detail, roughness, lacunarity, offset, gain):
     """A sum of octaves of `perlin`; `kind` indexes FRACTAL_KINDS, `detail` is octaves less one (may be fractional)."""
     whole = np.int32(detail)
@@ -145,7 +145,7 @@ def fractal(kind, normalize, dimensions, x, y, z, w, detail, roughness, lacunari
     return F(0.5) * value / most + F(0.5) if kind == FBM and normalize else value
 
 
-@inlined
+@inlined_leaf
 def _shift(dimensions, seed, axis):
     """Offset of one axis that makes a channel's noise its own."""
     if dimensions == 1:
@@ -153,14 +153,14 @@ def _shift(dimensions, seed, axis):
     return F(100) + F(100) * float2(seed, F(axis))
 
 
-@kernel
+@leaf
 def _shifted(dimensions, seed, x, y, z, w):
     """The point moved to where the noise of channel `seed` is taken."""
     last = _shift(dimensions, seed, 3)
     return x + _shift(dimensions, seed, 0), y + _shift(dimensions, seed, 1), z + _shift(dimensions, seed, 2), w + last
 
 
-@kernel
+@leaf
 def noise_texture(kind, normalize, dimensions, x, y, z, w, detail, roughness, lacunarity, offset, gain, distortion, colored):
     """The Noise Texture: (r, g, b), of which r is the value; g and b only where `colored`."""
     detail = min(max(detail, F(0)), F(15))

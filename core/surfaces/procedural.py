@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import inlined_leaf, leaf
 from .hashing import float1, float2, float3, float4
 from .noise import FBM, fractal
 
@@ -15,25 +15,25 @@ GRADIENT_KINDS = ("LINEAR", "QUADRATIC", "EASING", "DIAGONAL", "RADIAL", "QUADRA
 _LINEAR, _QUADRATIC, _EASING, _DIAGONAL, _RADIAL, _QUADRATIC_SPHERE, _SPHERICAL = range(7)
 
 
-@inlined
+@inlined_leaf
 def _unit(x):
     return min(max(x, F(0)), F(1))
 
 
-@inlined
+@inlined_leaf
 def _nudged(x):
     """Off the integers, where rounding would decide between neighbours."""
     return (x + F(0.000001)) * F(0.999999)
 
 
-@inlined
+@inlined_leaf
 def checker(x, y, z):
     """1 in the odd cells, 0 in the even ones."""
     i, j, k = np.int32(np.floor(_nudged(x))), np.int32(np.floor(_nudged(y))), np.int32(np.floor(_nudged(z)))
     return F((i + j + k) & 1)
 
 
-@kernel
+@leaf
 def gradient(kind, x, y, z):
     """The Gradient Texture, 0..1; `kind` indexes GRADIENT_KINDS."""
     if kind == _LINEAR:
@@ -54,7 +54,7 @@ def gradient(kind, x, y, z):
     return _unit(value)
 
 
-@kernel
+@leaf
 def white_noise(dimensions, x, y, z, w):
     """The White Noise Texture: (r, g, b, value)."""
     if dimensions == 1:
@@ -70,7 +70,7 @@ def white_noise(dimensions, x, y, z, w):
     return value, float4(z, x, w, y), float4(w, z, y, x), value
 
 
-@kernel
+@leaf
 def wave(rings, direction, profile, x, y, z, distortion, detail, detail_scale, detail_roughness, phase):
     """The Wave Texture: bands (direction x, y, z, diagonal) or rings (about x, y, z, spherical); profile sine, saw, triangle."""
     x, y, z = _nudged(x), _nudged(y), _nudged(z)
@@ -104,7 +104,7 @@ def wave(rings, direction, profile, x, y, z, distortion, detail, detail_scale, d
     return abs(n - np.floor(n + F(0.5))) * F(2)
 
 
-@kernel(fast=False)
+@leaf(fast=False)
 def magic(depth, x, y, z, scale, distortion):
     """The Magic Texture: (r, g, b)."""
     px, py, pz = np.fmod(x, _TURN), np.fmod(y, _TURN), np.fmod(z, _TURN)
@@ -141,7 +141,7 @@ def magic(depth, x, y, z, scale, distortion):
     return F(0.5) - x, F(0.5) - y, F(0.5) - z
 
 
-@inlined
+@inlined_leaf
 def _brick_tint(n):
     n = (n + np.int64(1013)) & np.int64(0x7FFFFFFF)
     n = (n >> 13) ^ n
@@ -153,7 +153,7 @@ def _brick_tint(n):
     return F(0.5) * (F(bits) / F(1073741824.0))
 
 
-@kernel
+@leaf
 def brick(x, y, mortar_size, mortar_smooth, bias, width, height, offset, offset_every, squash, squash_every):
     """The Brick Texture: (tint between the brick colours, share of mortar)."""
     row = np.int32(np.floor(y / height))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import inlined_leaf, kernel, leaf
 from ..scene import CONSTANT, MaterialTables
 from . import closures, outlined, textures
 from .colors import luminance
@@ -68,7 +68,7 @@ def new_registers(tables):
     return rows
 
 
-@kernel
+@leaf
 def _box(tables, texture, x, y, z, nx, ny, nz, mix):
     wx, wy, wz = textures.box_weights(abs(nx), abs(ny), abs(nz), mix)
     r = g = b = a = F(0)
@@ -81,7 +81,7 @@ def _box(tables, texture, x, y, z, nx, ny, nz, mix):
     return r, g, b, a
 
 
-@kernel
+@inlined_leaf
 def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface):
     """Writes the surface of `material` at a point of a triangle into `surface`, (SURFACE,) float32.
 
@@ -92,11 +92,16 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
     if tables.flags[material] & CONSTANT:
         for k in range(SURFACE):
             surface[k] = tables.constant[material, k]
-        return
+    else:
+        _run(tables, tables.start[material], attributes, triangle, u, v, cosine, rows, surface)
+
+
+@leaf
+def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
+    """Runs the program that starts at instruction `at`."""
     for k in range(SURFACE):
         surface[k] = F(0)
     code = tables.code
-    at = tables.start[material]
     w0 = F(1) - u - v
     while True:
         op = code[at, 0]
@@ -177,11 +182,15 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
 def evaluate_range(tables, materials, attributes, triangle, u, v, cosine, begin, end, surfaces):
     """`evaluate` for hits begin..end; triangle < 0 (no hit) leaves zeros.  See `batch.evaluate_batch`."""
     rows = new_registers(tables)
+    surface = np.zeros(SURFACE, np.float32)
     for i in range(begin, end):
         if triangle[i] < 0:
-            surfaces[i] = F(0)
+            for k in range(SURFACE):
+                surfaces[i, k] = F(0)
         else:
-            evaluate(tables, materials[triangle[i]], attributes, triangle[i], u[i], v[i], cosine[i], rows, surfaces[i])
+            evaluate(tables, materials[triangle[i]], attributes, triangle[i], u[i], v[i], cosine[i], rows, surface)
+            for k in range(SURFACE):
+                surfaces[i, k] = surface[k]
 
 
 def empty_tables() -> MaterialTables:
