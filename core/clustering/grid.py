@@ -6,7 +6,8 @@ outwards until no centre further away can be nearer, and equals brute force bit 
 squared distances are float32 sums in one order, without contraction, and equal ones go to the lower index.
 
 Where normals have a threshold, centres are split by their normal's dominant axis into up to six grids (a
-floor's centres make a flat one), and a block of points looks only into those its normals can agree with.
+floor's centres make a flat one), and a block of points looks only into those its normals can agree with.  Where
+centres crowd in a small part of a grid (a landscape seen from the ground), the crowd gets a finer grid of its own.
 """
 
 from __future__ import annotations
@@ -23,8 +24,11 @@ SEARCHES = ("shells", "neighbourhood")
 ANY_NORMAL = -8.0  # a threshold below every cosine
 
 _BLOCKS_PER_CHUNK = 256
-_SPLIT = 7  # grids: two signs of three axes, and one for centres without a normal
+_SPLIT = 7  # two signs of three axes, and one for centres without a normal
+_LEVELS = 5  # of ever finer grids
 _CELLS_PER_CENTRE = 16  # at most
+_CROWD = 4  # more centres than that in a cell are a crowd, which moves to a finer grid ...
+_SHRINK = 0.5  # ... where it is that much smaller than this one
 _SLACK = 1e-3  # of a cell: far above the rounding of a centre's cell coordinate
 _ROUNDING = 1 - 1e-5  # of a distance, far above float32 rounding
 _INF = np.float32(np.inf)
@@ -52,7 +56,7 @@ class Grid(NamedTuple):
     positions: (3, K) float32;  normals: (4, K) float32 (see PointBlocks);  ids: (K,) int32, given indices.
     first: (B,) int32, where each grid's cells begin in `start`;  start: first centre of each cell (x fastest), of
         one cell more than there are in each grid.
-    origin: (B, 3) float32 (m);  cell: (B,) float32, edge (m), 0 for a grid without centres;  size: (B, 3) int32, cells.
+    origin: (B, 3) float32 (m);  cell: (B,) float32, edge (m);  size: (B, 3) int32, cells.
     normal_bounds: (B, 2, 4) float32, smallest and largest component of the grid's normals.
     """
 
@@ -87,13 +91,21 @@ def build_grid(centres: np.ndarray, normals: np.ndarray | None = None, split: bo
 
 
 def nearest(
-    points: PointBlocks, grid: Grid, count: int = 1, metric: Metric = BY_POSITION, search: str = "shells", threads: int = 0
+    points: PointBlocks,
+    grid: Grid,
+    count: int = 1,
+    metric: Metric = BY_POSITION,
+    search: str = "shells",
+    threads: int = 0,
+    within: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The `count` nearest centres of each point, nearest first, in the points' sorted order.
 
-    Returns: (ids, squared distances), both (count, P): int32 and float32; -1 and infinity where no more centres
-        are within the metric's threshold.  With `search="neighbourhood"` only centres in the cells of the point's block
-        and the 26 around are compared, unless one of the block's points finds none there.
+    within: (P,) float32, squared distances that the centres must stay below; infinity by default.
+
+    Returns: (ids, squared distances), both (count, P): int32 and float32; -1 and `within` where no more centres
+        are near enough and within the metric's threshold.  With `search="neighbourhood"` only centres in the cells
+        of the point's block and the 26 around are compared, unless one of the block's points finds none there.
 
     Raises:
         ValueError: unknown search.
@@ -101,8 +113,8 @@ def nearest(
     if search not in SEARCHES:
         raise ValueError(f"search: expected one of {', '.join(SEARCHES)}, got {search!r}")
     places = points.positions.shape[1]
-    ids = np.empty((count, places), np.int32)
-    squared = np.empty((count, places), np.float32)
+    ids = np.full((count, places), -1, np.int32)
+    squared = np.full((count, places), np.inf if within is None else within, np.float32)
     plane = None if metric.plane == 0 else np.float32(metric.plane)
     threshold, turn = np.float32(metric.threshold), np.float32(metric.turn)
 
@@ -114,82 +126,113 @@ def nearest(
 
 
 @kernel(fast=False)
-def _build(centres, normals, count):
-    """Distribute centres over `count` grids and their cells; the fields of Grid in their order."""
+def _build(centres, normals, parts):
+    """Distribute centres over `parts` by normal, each over grids and their cells; the fields of Grid in their order."""
     k = len(centres)
-    first = np.zeros(count, np.int32)
-    origin = np.zeros((count, 3), np.float32)
-    cell = np.zeros(count, np.float32)
-    size = np.zeros((count, 3), np.int32)
-    bounds = np.zeros((count, 2, 4), np.float32)
-    members = np.zeros(count, np.int32)
-    grid_of = np.zeros(k, np.int32)
-    high = np.zeros((count, 3), np.float32)
-    for i in range(k):
-        if count > 1:
-            grid_of[i] = _grid_of(normals[0, i], normals[1, i], normals[2, i], normals[3, i])
-        g = grid_of[i]
-        for axis in range(3):
-            origin[g, axis] = min(origin[g, axis], centres[i, axis]) if members[g] else centres[i, axis]
-            high[g, axis] = max(high[g, axis], centres[i, axis]) if members[g] else centres[i, axis]
-        for axis in range(4):
-            bounds[g, 0, axis] = min(bounds[g, 0, axis], normals[axis, i]) if members[g] else normals[axis, i]
-            bounds[g, 1, axis] = max(bounds[g, 1, axis], normals[axis, i]) if members[g] else normals[axis, i]
-        members[g] += 1
-
-    cells = np.zeros(k, np.int32)
-    order = np.empty(k, np.int32)
-    start = np.zeros(_CELLS_PER_CENTRE * k + 64 * count, np.int32)
+    most = parts * _LEVELS
+    first, start = np.zeros(most, np.int32), np.zeros((_CELLS_PER_CENTRE * k + 64) * _LEVELS, np.int32)
+    origin, cell, size = np.zeros((most, 3), np.float32), np.zeros(most, np.float32), np.zeros((most, 3), np.int32)
+    bounds = np.zeros((most, 2, 4), np.float32)
+    part_of = np.zeros(k, np.int32)
+    if parts > 1:
+        for i in range(k):
+            part_of[i] = _part_of(normals[0, i], normals[1, i], normals[2, i], normals[3, i])
+    order, cells = np.empty(k, np.int32), np.empty(k, np.int32)
     counted = np.empty(_CELLS_PER_CENTRE * k + 64, np.int32)
-    next_cell = next_centre = 0
-    for g in range(count):
-        first[g] = next_cell
-        if members[g] == 0:
-            continue
-        own = np.empty(members[g], np.int32)
+    own = np.empty(k, np.int32)
+    high = np.empty(3, np.float32)
+    g = next_cell = next_centre = 0
+    for part in range(parts):
         n = 0
         for i in range(k):
-            if grid_of[i] == g:
+            if part_of[i] == part:
                 own[n] = i
                 n += 1
-        longest = max(high[g, 0] - origin[g, 0], high[g, 1] - origin[g, 1], high[g, 2] - origin[g, 2])
-        resolution = 1.0
-        while True:
-            cell[g] = longest / resolution if longest > 0 else 1.0
-            for axis in range(3):
-                size[g, axis] = int((high[g, axis] - origin[g, axis]) / cell[g]) + 1
-            total = size[g, 0] * size[g, 1] * size[g, 2]
-            counted[:total] = 0
-            filled = 0
-            for i in own:
-                x = _cell(centres[i, 0], origin[g, 0], cell[g], size[g, 0])
-                y = _cell(centres[i, 1], origin[g, 1], cell[g], size[g, 1])
-                z = _cell(centres[i, 2], origin[g, 2], cell[g], size[g, 2])
-                c = (z * size[g, 1] + y) * size[g, 0] + x
-                cells[i] = c
-                filled += counted[c] == 0
-                counted[c] += 1
-            finer = resolution * 1.25
-            finer_total = 1.0
-            for axis in range(3):
-                finer_total *= size[g, axis] * 1.25 + 1
-            if 2 * filled >= n or longest == 0 or finer_total > _CELLS_PER_CENTRE * n:
+        for level in range(_LEVELS):
+            if n == 0:
                 break
-            resolution = finer
-        for c in range(total):
-            start[next_cell + c] = next_centre
-            next_centre += counted[c]
-            counted[c] = start[next_cell + c]
-        start[next_cell + total] = next_centre
-        next_cell += total + 1
-        for i in own:
-            order[counted[cells[i]]] = i
-            counted[cells[i]] += 1
-    return order, first, start[:next_cell].copy(), origin, cell, size, bounds
+            for axis in range(3):
+                origin[g, axis] = high[axis] = centres[own[0], axis]
+            for axis in range(4):
+                bounds[g, 0, axis] = bounds[g, 1, axis] = normals[axis, own[0]]
+            for i in own[1:n]:
+                for axis in range(3):
+                    origin[g, axis] = min(origin[g, axis], centres[i, axis])
+                    high[axis] = max(high[axis], centres[i, axis])
+                for axis in range(4):
+                    bounds[g, 0, axis] = min(bounds[g, 0, axis], normals[axis, i])
+                    bounds[g, 1, axis] = max(bounds[g, 1, axis], normals[axis, i])
+            longest = max(high[0] - origin[g, 0], high[1] - origin[g, 1], high[2] - origin[g, 2])
+            resolution = 1.0
+            while True:
+                cell[g] = longest / resolution if longest > 0 else 1.0
+                finer = 1.0
+                for axis in range(3):
+                    size[g, axis] = int((high[axis] - origin[g, axis]) / cell[g]) + 1
+                    finer *= size[g, axis] * 1.25 + 1
+                total = size[g, 0] * size[g, 1] * size[g, 2]
+                filled = _count(centres, own[:n], origin[g], cell[g], size[g], cells, counted[:total])
+                if 2 * filled >= n or longest == 0 or finer > _CELLS_PER_CENTRE * n:
+                    break
+                resolution *= 1.25
+            crowd = 0
+            if 2 * filled < n and level < _LEVELS - 1:
+                crowd = _crowd(centres, own[:n], cells, counted, _SHRINK * longest)
+            first[g] = next_cell
+            for c in range(total):
+                members = counted[c] if crowd == 0 or counted[c] <= _CROWD else 0
+                crowded = members < counted[c]
+                start[next_cell + c] = next_centre
+                counted[c] = -1 if crowded else next_centre
+                next_centre += members
+            start[next_cell + total] = next_centre
+            next_cell += total + 1
+            n_left = 0
+            for i in own[:n]:
+                c = cells[i]
+                if counted[c] < 0:
+                    own[n_left] = i
+                    n_left += 1
+                else:
+                    order[counted[c]] = i
+                    counted[c] += 1
+            n = n_left
+            g += 1
+    return order, first[:g].copy(), start[:next_cell].copy(), origin[:g].copy(), cell[:g].copy(), size[:g].copy(), bounds[:g].copy()
+
+
+@kernel(fast=False)
+def _count(centres, own, origin, cell, size, cells, counted):
+    """Cell of each of the centres `own`, and how many lie in each cell; returns the number of occupied cells."""
+    counted[:] = 0
+    filled = 0
+    for i in own:
+        x = _cell(centres[i, 0], origin[0], cell, size[0])
+        y = _cell(centres[i, 1], origin[1], cell, size[1])
+        z = _cell(centres[i, 2], origin[2], cell, size[2])
+        c = (z * size[1] + y) * size[0] + x
+        cells[i] = c
+        filled += counted[c] == 0
+        counted[c] += 1
+    return filled
+
+
+@kernel(fast=False)
+def _crowd(centres, own, cells, counted, largest):
+    """Number of centres in crowded cells; 0 where these extend over more than `largest` (m), as a finer grid would not help."""
+    low, high = np.empty(3, np.float32), np.empty(3, np.float32)
+    n = 0
+    for i in own:
+        if counted[cells[i]] > _CROWD:
+            for axis in range(3):
+                low[axis] = min(low[axis], centres[i, axis]) if n else centres[i, axis]
+                high[axis] = max(high[axis], centres[i, axis]) if n else centres[i, axis]
+            n += 1
+    return n if max(high[0] - low[0], high[1] - low[1], high[2] - low[2]) <= largest else 0
 
 
 @inlined(fastmath=False)
-def _grid_of(x, y, z, free):
+def _part_of(x, y, z, free):
     largest = max(abs(x), abs(y), abs(z))
     if free > 0:
         return 6
@@ -219,7 +262,7 @@ def _squared(dx, dy, dz, nx, ny, nz, free, mx, my, mz, mfree, threshold, turn, p
 
 @kernel(fast=False)
 def _search(lanes, positions, normals, grid, first_block, last_block, threshold, turn, plane, exact, ids, squared):
-    """`nearest` for blocks [first_block, last_block).
+    """`nearest` for blocks [first_block, last_block); `ids` and `squared` hold what a lane has before the search.
 
     `lanes` is LANES, passed so that the compiler keeps the lane loops as loops and makes vector code of them.
     """
@@ -242,10 +285,8 @@ def _search(lanes, positions, normals, grid, first_block, last_block, threshold,
         free = normals[3, base : base + lanes]
         for axis in range(4):
             normal_low[axis], normal_high[axis] = _extent(normals[axis, base : base + lanes])
-        ids[:, base : base + lanes] = -1
-        squared[:, base : base + lanes] = _INF
         farthest = squared[count - 1, base : base + lanes]
-        reach = _INF  # no centre with a larger squared distance can enter any lane's list
+        _, reach = _extent(farthest)  # no centre with a larger squared distance can enter any lane's list
         for g in range(grids):
             steps[g] = 0
             reached[g] = _distance_to_grid(grid, g, low, high)
@@ -288,9 +329,7 @@ def _search(lanes, positions, normals, grid, first_block, last_block, threshold,
                                 improved = True
                                 _insert(lanes, trial, trial_id, grid.ids[c], base, ids, squared)
                     if improved:
-                        reach = np.float32(0)
-                        for j in range(lanes):
-                            reach = max(reach, farthest[j])
+                        _, reach = _extent(farthest)
             for axis in range(3):
                 visited[g, 0, axis], visited[g, 1, axis] = box[0, axis], box[1, axis]
             steps[g] += 1
@@ -314,9 +353,7 @@ def _urgency(exact, steps, reached):
 
 @inlined(fastmath=False)
 def _distance_to_grid(grid, g, low, high):
-    """Lower bound of the distance between the box [low, high] and the grid's centres; infinite for a grid without any."""
-    if grid.cell[g] == 0:
-        return _INF
+    """Lower bound of the distance between the box [low, high] and the grid's centres."""
     squared = np.float32(0)
     for axis in range(3):
         end = grid.origin[g, axis] + (grid.size[g, axis] + np.float32(_SLACK)) * grid.cell[g]

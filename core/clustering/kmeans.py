@@ -126,10 +126,9 @@ def kmeans(
     places = _leftover_seeds(blocks, ids, extra - added, metric, search, threads)
     if len(places):
         # All points see the new centroids: the assignment stays that of the nearest of all.
-        found, found_squared = nearest(blocks, _grid(*_at(blocks, places), threshold), 1, metric, search, threads)
-        nearer = found_squared[0] < squared
+        found, squared = nearest(blocks, _grid(*_at(blocks, places), threshold), 1, metric, "shells", threads, squared)
+        nearer, squared = found[0] >= 0, squared[0]
         ids[nearer] = found[0, nearer] + len(centroids)
-        squared[nearer] = found_squared[0, nearer]
         centroids, means = _append(blocks, places, centroids, means)
     left = np.flatnonzero(ids[:n] < 0)
     if len(left):

@@ -41,6 +41,16 @@ def awkward(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return points.astype(np.float32), normals.astype(np.float32)
 
 
+def landscape(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Rolling ground as a camera at eye height sees it: crowded near by, 2 km wide."""
+    rng = np.random.default_rng(seed)
+    distance = 1.7 / rng.uniform(1e-3, 0.8, n)
+    x, y = rng.uniform(-0.7, 0.7, n) * distance, distance
+    points = np.stack([x, y, 0.02 * distance * np.sin(np.log(distance) * 9)], axis=1)
+    normals = np.stack([np.zeros(n), -0.4 * np.cos(np.log(distance) * 9), np.ones(n)], axis=1)
+    return points.astype(np.float32), (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+
+
 def _with_free(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     usable = np.isfinite(normals).all(axis=1) & (normals != 0).any(axis=1)
     return np.where(usable[:, None], normals, np.float32(0)), np.where(usable, np.float32(0), np.float32(NO_NORMAL))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lumigate.core.clustering import fuzzy_assign, kmeans, median_spacing, nearest_plane_aware, point_blocks
 from lumigate.core.clustering.grid import Metric
 
-from .clustering_points import all_squared, awkward, brute_force, room
+from .clustering_points import all_squared, awkward, brute_force, landscape, room
 
 THRESHOLD = 0.75**0.5
 
@@ -18,7 +18,7 @@ THRESHOLD = 0.75**0.5
 @settings(max_examples=30, deadline=None)
 @given(
     n=st.integers(1, 200), k=st.integers(1, 60), count=st.integers(1, 7), seed=st.integers(0, 10**6),
-    make=st.sampled_from([room, awkward]), weighting=st.sampled_from(["distance", "plain", "smooth"]),
+    make=st.sampled_from([room, awkward, landscape]), weighting=st.sampled_from(["distance", "plain", "smooth"]),
 )  # fmt: skip
 def test_indices_are_the_nearest_and_weights_add_up_to_one(n, k, count, seed, make, weighting):
     points, normals = make(n, seed)
@@ -116,7 +116,7 @@ def test_any_number_of_threads_gives_the_same_bits():
 
 
 @settings(max_examples=20, deadline=None)
-@given(n=st.integers(1, 200), k=st.integers(1, 80), seed=st.integers(0, 10**6), make=st.sampled_from([room, awkward]))
+@given(n=st.integers(1, 200), k=st.integers(1, 80), seed=st.integers(0, 10**6), make=st.sampled_from([room, awkward, landscape]))
 def test_plane_aware_neighbours_equal_the_formula(n, k, seed, make):
     points, normals = make(n, seed)
     centres, centre_normals = make(k, seed + 1)

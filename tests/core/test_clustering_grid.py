@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lumigate.core.clustering.blocks import LANES, point_blocks, radix_order
 from lumigate.core.clustering.grid import ANY_NORMAL, Metric, build_grid, nearest
 
-from .clustering_points import awkward, brute_force, room
+from .clustering_points import awkward, brute_force, landscape, room
 
 METRICS = [Metric(), Metric(0.5), Metric(0.75**0.5), Metric(ANY_NORMAL, 0.3), Metric(0.5**0.5, 0.02, 16.0)]
 
@@ -28,7 +28,7 @@ def search(points, normals, centres, centre_normals, count, metric, mode="shells
 @settings(max_examples=60, deadline=None)
 @given(
     n=st.integers(1, 300), k=st.integers(1, 120), count=st.integers(1, 7), metric=st.sampled_from(METRICS), seed=st.integers(0, 10**6),
-    make=st.sampled_from([room, awkward]), with_normals=st.booleans(),
+    make=st.sampled_from([room, awkward, landscape]), with_normals=st.booleans(),
 )  # fmt: skip
 def test_shells_equal_brute_force(n, k, count, metric, seed, make, with_normals):
     points, normals = make(n, seed)
@@ -41,10 +41,11 @@ def test_shells_equal_brute_force(n, k, count, metric, seed, make, with_normals)
     np.testing.assert_array_equal(squared, expected)
 
 
+@pytest.mark.parametrize("make", [room, landscape])
 @pytest.mark.parametrize("metric", METRICS)
-def test_shells_equal_brute_force_with_many_centres(metric):
-    points, normals = room(3000, 1)
-    centres, centre_normals = room(1500, 2)
+def test_shells_equal_brute_force_with_many_centres(metric, make):
+    points, normals = make(2000, 1)
+    centres, centre_normals = make(1500, 2)
     ids, squared = search(points, normals, centres, centre_normals, 6, metric)
     expected_ids, expected = brute_force(points, normals, centres, centre_normals, 6, metric)
     np.testing.assert_array_equal(ids, expected_ids)
@@ -65,6 +66,28 @@ def test_one_far_centre_does_not_hide_the_others():
     centres = np.concatenate([room(300, 5)[0], np.full((1, 3), 1e5, np.float32)])
     ids, _ = search(points, None, centres, None, 2, Metric())
     np.testing.assert_array_equal(ids, brute_force(points, None, centres, None, 2)[0])
+
+
+def test_crowds_get_finer_grids():
+    centres, normals = landscape(2000)
+    grid = build_grid(centres, normals, split=False)
+    assert len(grid.cell) > 1 and (np.diff(grid.cell) < 0).all()
+    for g, (begin, end) in enumerate(zip(grid.first, [*grid.first[1:], len(grid.start)])):
+        members = np.diff(grid.start[begin:end])
+        assert (members >= 0).all() and (g == len(grid.cell) - 1 or members.max() <= 4)
+    assert sorted(grid.ids) == list(range(2000))
+
+
+def test_centres_must_stay_below_the_given_distance():
+    points, normals = room(500, 3)
+    centres, centre_normals = room(60, 4)
+    blocks, grid = point_blocks(points, normals), build_grid(centres, centre_normals)
+    metric = Metric(0.75**0.5)
+    ids, squared = nearest(blocks, grid, 1, metric)
+    within = np.full(squared.shape[1], np.median(squared[0]), np.float32)
+    near_ids, near = nearest(blocks, grid, 1, metric, within=within)
+    np.testing.assert_array_equal(near, np.minimum(squared, within))
+    np.testing.assert_array_equal(near_ids, np.where(squared < within, ids, -1))
 
 
 def test_neighbourhood_finds_what_lies_within_a_cell_and_never_nothing():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lumigate.core.clustering import kmeans, point_blocks
 from lumigate.core.clustering.grid import Metric
 
-from .clustering_points import all_squared, awkward, brute_force, room
+from .clustering_points import all_squared, awkward, brute_force, landscape, room
 
 THRESHOLD = 0.75**0.5
 
@@ -42,7 +42,7 @@ def check(clustering, points, normals, threshold=THRESHOLD):
 
 @settings(max_examples=40, deadline=None)
 @given(
-    n=st.integers(1, 400), k=st.integers(1, 500), seed=st.integers(0, 10**6), make=st.sampled_from([room, awkward]),
+    n=st.integers(1, 400), k=st.integers(1, 500), seed=st.integers(0, 10**6), make=st.sampled_from([room, awkward, landscape]),
     threshold=st.sampled_from([THRESHOLD, 0.99, None]), iterations=st.integers(0, 4), gamma=st.sampled_from([1, 3]),
     extra=st.sampled_from([None, 0, 1]),
 )  # fmt: skip
