@@ -60,6 +60,7 @@ class Grid:
 
     materials: dict[str, tuple[bpy.types.Material, float]] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    flags: np.ndarray | None = None
 
     def add(self, name: str, build: Callable[[bpy.types.NodeTree, bpy.types.Node], None], angle: float = 0.0) -> None:
         """A plane turned by `angle` from the camera, whose tree `build(tree, output)` fills."""
@@ -94,7 +95,7 @@ class Grid:
             obj.location = i % columns, i // columns + 0.5 - half[0], -half[1]
         passes = _render(columns)
         found = compile_materials([MaterialUse(m, (bpy.data.objects[n],)) for n, (m, _) in self.materials.items()])
-        self.warnings = found.warnings
+        self.warnings, self.flags = found.warnings, found.materials.tables.flags
         result = {}
         for i, (name, (_, angle)) in enumerate(self.materials.items()):
             x, y = i % columns * PIXELS, i // columns * PIXELS
@@ -143,7 +144,7 @@ def _attribute(request, index, columns):
     """(4 corners, 4) values of a request on an upright plane."""
     place = np.array([index % columns, index // columns])
     values = np.ones((4, 4))
-    if request.kind == rq.UV or request.name in ("UVMap", "Second"):
+    if request.kind == rq.UV or (request.kind == rq.ATTRIBUTE and request.name in ("UVMap", "Second")):
         uv = UV_LOW + UV_SPAN * CORNERS
         values[:, :2] = uv[:, ::-1] if request.name == "Second" else uv
         values[:, 2] = 0

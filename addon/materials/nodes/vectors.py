@@ -127,22 +127,25 @@ def normal_map(node: NodeInput, output: str) -> Value:
     space = node.node.space
     surface = node.program.attribute(WORLD_NORMAL)
     encoded = node.vector("SUBTRACT", node.vector("MULTIPLY", node["Color"], scalar(2)), ONE)
+    if getattr(node.node, "convention", "OPENGL") == "DIRECTX":
+        encoded = node.multiply(encoded, Constant(1, -1, 1))
+    strength = node["Strength"]
     if space == "TANGENT":
-        uv = node.node.uv_map
-        tangent = node.program.attribute(TANGENT, uv)
-        bitangent = node.vector("MULTIPLY", node.vector("CROSS_PRODUCT", surface, tangent), node.splat(tangent, 3))
-        direction = node.vector("MULTIPLY", surface, node.splat(encoded, 2))
-        direction = node.vector("MULTIPLY_ADD", bitangent, node.splat(encoded, 1), direction)
-        direction = node.vector("MULTIPLY_ADD", tangent, node.splat(encoded, 0), direction)
-    elif space == "WORLD":
-        direction = encoded
-    else:
-        raise Unsupported(f"node '{node.node.name}' is a normal map in the space '{space}'")
-    direction = node.vector("NORMALIZE", direction)
-    strength = node.math("MAXIMUM", node["Strength"], ZERO)
+        tangent = node.program.attribute(TANGENT, node.node.uv_map)
+        bitangent = node.multiply(node.vector("CROSS_PRODUCT", surface, tangent), node.splat(tangent, 3))
+        height = node.emit(ops.MIX, node.clamp(strength), ONE, node.splat(encoded, 2))
+        direction = node.multiply(surface, height)
+        direction = node.vector("MULTIPLY_ADD", bitangent, node.math("MULTIPLY", node.splat(encoded, 1), strength), direction)
+        direction = node.vector("MULTIPLY_ADD", tangent, node.math("MULTIPLY", node.splat(encoded, 0), strength), direction)
+        return node.vector("NORMALIZE", direction)
+    if space == "BLENDER_WORLD":
+        encoded = node.multiply(encoded, Constant(1, -1, -1))
+    elif space != "WORLD":
+        raise Unsupported(f"node '{node.node.name}' is a normal map in object space")
+    direction = node.vector("NORMALIZE", encoded)
     if strength == ONE:
         return direction
-    return node.vector("NORMALIZE", node.emit(ops.MIX, strength, surface, direction))
+    return node.vector("NORMALIZE", node.emit(ops.MIX, node.math("MAXIMUM", strength, ZERO), surface, direction))
 
 
 @value("ShaderNodeBump")
