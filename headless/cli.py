@@ -7,6 +7,7 @@ import importlib
 import importlib.util
 import signal
 import sys
+import traceback
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -74,4 +75,9 @@ if __name__ == "__main__":
         _load_package()
     from lumigate.headless.cli import main as package_main
 
-    sys.exit(package_main(in_blender="bpy" in sys.modules))
+    try:
+        status = package_main(in_blender="bpy" in sys.modules)
+    except Exception:  # a fault of ours: Blender would print it, too, but end with status 0
+        traceback.print_exc()
+        status = 1
+    sys.exit(status)

@@ -9,15 +9,21 @@ import bpy
 from .. import sample_scenes
 from ..addon.extract import extract_scene
 from ..addon.files import open_scene
+from ..core.errors import SceneError
 from ..core.scene import Scene
 from .console import quiet
+
+OLDEST_BLENDER = (4, 5)  # as `blender_version_min` in blender_manifest.toml
 
 
 def open_source(source: str | None, *, detail: str = "full") -> bpy.types.Scene:
     """Open a scene file or build a sample scene, and return it; None is the scene that is open now.
 
-    Raises SceneError where the file cannot be read.
+    Raises SceneError where the file cannot be read, or this Blender is too old.
     """
+    if bpy.app.version < OLDEST_BLENDER:
+        wanted = ".".join(map(str, OLDEST_BLENDER))
+        raise SceneError(f"this is Blender {bpy.app.version_string}; version {wanted} or newer is needed")
     if source is None:
         return bpy.context.scene
     with quiet():

@@ -6,6 +6,7 @@ import pty
 import signal
 import subprocess
 import sys
+import tomllib
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from lumigate.headless import arguments
 from lumigate.headless.cli import main
 from lumigate.headless.commands import bench
 from lumigate.headless.frames import numbered
+from lumigate.headless.sources import OLDEST_BLENDER
 
 ROOT = Path(lumigate.__file__).parent
 SMALL = ["--size", "16x12", "--vpls", "8", "--pixel-samples", "2", "--bounces", "2"]
@@ -92,6 +94,11 @@ def test_numbers_of_frames(name, frame, expected):
 
 def test_every_scene_format_is_offered():
     assert arguments.SCENE_SUFFIXES == SUPPORTED
+
+
+def test_oldest_blender_is_that_of_the_manifest():
+    manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
+    assert manifest["blender_version_min"] == ".".join(map(str, (*OLDEST_BLENDER, 0)))
 
 
 def test_method_options_reach_the_settings():
