@@ -11,7 +11,7 @@ import numpy as np
 
 from ..jit import inlined, kernel
 from ..rays.packet import WIDTH, hit_t, hit_triangle, new_packet, set_ray
-from ..rays.trace import OPAQUE, intersect_packet
+from ..rays.trace import COHERENT, OPAQUE, intersect_packet
 from ..sampling.hashing import uniform
 from ..threads import run_chunks
 
@@ -78,7 +78,7 @@ def _fill(rays, position, error, normal, begin, end, kinds, maps):
                     far = -_1 if behind else np.float32(np.inf)
                     set_ray(packet, lane, x, y, z, dx * scale, dy * scale, dz * scale, _0, far, kinds)
                     count += not behind
-                intersect_packet(rays, OPAQUE, packet, lanes)
+                intersect_packet(rays, OPAQUE | COHERENT, packet, lanes)
                 for lane in range(lanes):
                     row, column = (texel + lane) // resolution, (texel + lane) % resolution
                     t = hit_t(packet, lane)

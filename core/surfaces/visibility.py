@@ -6,7 +6,7 @@ import numpy as np
 
 from ..jit import kernel
 from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_FAR, T_NEAR, WIDTH
-from ..rays.trace import CUTOUT, OPAQUE, intersect1, occluded_packet
+from ..rays.trace import COHERENT, CUTOUT, OPAQUE, intersect1, occluded_packet
 from .layout import TRANSPARENCY
 from .program import MEAN_VIEW, evaluate
 
@@ -40,11 +40,11 @@ def transmittance1(rays, materials, material, attributes, packet, rows, surface,
 
 @kernel
 def shadow_packet(rays, materials, material, attributes, packet, rows, surface, count, kinds, cutouts, transmitted):
-    """Trace the shadow rays in lanes 0..count-1 and write what they let through into `transmitted` (16, 3).
+    """Trace the shadow rays in lanes 0..count-1, which go much the same way, and write what they let through into `transmitted` (16, 3).
 
     cutouts: whether the scene has transparent triangles at all.  Only the rays that meet one are walked singly.
     """
-    occluded_packet(rays, OPAQUE, packet, count)
+    occluded_packet(rays, OPAQUE | COHERENT, packet, count)
     waiting = False
     for lane in range(count):
         open_ = _0 if packet.f[T_FAR * WIDTH + lane] == OCCLUDED else _1

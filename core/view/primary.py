@@ -17,7 +17,7 @@ from ..jit import kernel
 from ..lamps.world import world_radiance
 from ..rays.offsets import hit_point
 from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
-from ..rays.trace import ALL, intersect_packet
+from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import uniform
 from ..scene import CAMERA, NORMAL_MAPPED, TRANSPARENT, Scene
 from ..surfaces.layout import EMISSION, GLOSSY_F0, GLOSSY_F90, NORMAL, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo
@@ -102,7 +102,7 @@ def _trace_tile(
         layer = 0
         active = True
         while active and layer < MAX_LAYERS:
-            intersect_packet(rays, ALL, packet, WIDTH)
+            intersect_packet(rays, ALL | COHERENT, packet, WIDTH)
             active = False
             for lane in range(WIDTH):
                 triangle = hit_triangle(packet, lane)
