@@ -218,7 +218,7 @@ def trace_particles(
     if albedo_count == 0 or bounces < 1:
         return Vpls.allocate(0), n_rays
     rho = min(max(albedo_sum / albedo_count, 0.05), 1.0)
-    survivors = np.array([max(int(math.floor(rho**j * particles)), min(particles, 16)) for j in range(bounces)], np.int64)
+    survivors = np.array([max(math.floor(rho**j * particles), min(particles, 16)) for j in range(bounces)], np.int64)
 
     def work(begin, end):
         room = Vpls.allocate((end - begin) * bounces)

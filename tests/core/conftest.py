@@ -49,7 +49,7 @@ def quads(*corners):
     """Vertices and triangles of quads, each given by its 4 corners; the normal follows the right hand."""
     vertices = np.concatenate([np.asarray(c, float) for c in corners])
     base = np.arange(len(corners))[:, None] * 4
-    triangles = np.concatenate([np.stack([base + [0, 1, 2], base + [0, 2, 3]], 1).reshape(-1, 3)])
+    triangles = np.stack([base + np.array([0, 1, 2]), base + np.array([0, 2, 3])], 1).reshape(-1, 3)
     return vertices, triangles
 
 
@@ -75,18 +75,23 @@ def camera(position=(0, 0, 0), width=16, height=16, angle=np.pi / 2):
     matrix = np.eye(4)
     matrix[:3, 3] = position
     half = np.tan(angle / 2)
-    return sc.Camera(matrix, False, (-half, half, -half * height / width, half * height / width), width, height, (0, 0, width, height), 1e-3, 1e3)
+    return sc.Camera(
+        matrix, False, (-half, half, -half * height / width, half * height / width), width, height, (0, 0, width, height), 1e-3, 1e3
+    )
 
 
-def scene(geometry, materials, *, lamps=None, world=(0, 0, 0), camera=camera()):
+def default_camera():
+    """At the origin, 16 x 16 pixels."""
+    return camera()
+
+
+def scene(geometry, materials, *, lamps=None, world=(0, 0, 0), camera=None):
     """A whole scene."""
     radiance = np.array(world, np.float32).reshape(1, 1, 3)
-    return sc.Scene(geometry, materials, lamps or sc.Lamps.empty(), sc.World(radiance), camera)
+    return sc.Scene(geometry, materials, lamps or sc.Lamps.empty(), sc.World(radiance), camera or default_camera())
 
 
 @pytest.fixture(scope="session")
 def build():
     """The builders above, by name."""
-    return SimpleNamespace(
-        materials=materials, geometry=geometry, quads=quads, icosphere=icosphere, camera=camera, scene=scene
-    )
+    return SimpleNamespace(materials=materials, geometry=geometry, quads=quads, icosphere=icosphere, camera=camera, scene=scene)

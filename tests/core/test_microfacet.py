@@ -12,7 +12,7 @@ def _by_sampling(cosine, alpha, u, bins):
     sine = np.float32(np.sqrt(1 - cosine * cosine))
     total = 0.0
     for k in range(u.shape[0]):
-        x, y, z, w = microfacet.sample_reflection(sine, np.float32(0), cosine, alpha, u[k, 0], u[k, 1])
+        _, _, z, w = microfacet.sample_reflection(sine, np.float32(0), cosine, alpha, u[k, 0], u[k, 1])
         if w > 0:
             total += w
             bins[min(int(z * bins.shape[0]), bins.shape[0] - 1)] += w
