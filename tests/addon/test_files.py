@@ -96,7 +96,7 @@ def test_gltf_without_camera_is_framed(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".blend", ".glb", ".gltf", ".obj"])
 def test_missing_file(tmp_path, suffix):
-    with pytest.raises(SceneError, match="no such file.*nowhere"):
+    with pytest.raises(SceneError, match=r"no such file.*nowhere"):
         open_scene(tmp_path / f"nowhere{suffix}")
 
 
@@ -126,5 +126,5 @@ def test_folder_is_no_file(tmp_path):
 def test_file_without_faces(tmp_path):
     path = tmp_path / "points.obj"
     path.write_text("v 0 0 0\nv 1 0 0\n")
-    with pytest.raises(SceneError, match="points.obj' holds no faces"):
+    with pytest.raises(SceneError, match=r"points\.obj' holds no faces"):
         open_scene(path)
