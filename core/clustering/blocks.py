@@ -21,6 +21,7 @@ _AXIS_BITS = 15
 _FACE_BITS = 3
 _DIGIT_BITS = 12  # of the radix sort: 4 passes, 4096 counters (32 KiB)
 _FARTHEST = 1e18  # coordinates beyond it overflow a float32 squared distance
+_POINT = 1e-30  # m: points within it are one place
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def point_blocks(positions: np.ndarray, normals: np.ndarray | None = None) -> Po
     bounds = np.zeros((2, 3), np.float32)
     indices = indices[: _finite_points(positions, indices, bounds)]
     extent = float((bounds[1] - bounds[0]).max())
-    scale = np.float32((2**_AXIS_BITS - 1) / extent if extent > 0 else 0.0)
+    scale = np.float32((2**_AXIS_BITS - 1) / extent if extent > _POINT else 0.0)
     # The normal splits cells that hold some 512 points where the points lie on surfaces.
     face_level = round(math.log2(max(1.0, math.sqrt(len(indices) / 512))))
     keys = np.empty(len(indices), np.int64)

@@ -28,8 +28,10 @@ _SPLIT = 7  # two signs of three axes, and one for centres without a normal
 _LEVELS = 5  # of ever finer grids
 _CELLS_PER_CENTRE = 16  # at most
 _CROWD = 4  # more centres than that in a cell are a crowd, which moves to a finer grid ...
-_SHRINK = 0.5  # ... where it is that much smaller than this one
-_SLACK = 1e-3  # of a cell: far above the rounding of a centre's cell coordinate
+_SHRINK = 0.25  # ... where it is that much smaller than this one
+_MOST_CELLS = 2048  # along an axis
+_SLACK = 1e-3  # of a cell: above the float32 rounding of a coordinate in cells, of which there are at most 2048
+_POINT = 1e-30  # m: a grid with no larger extent is one cell
 _ROUNDING = 1 - 1e-5  # of a distance, far above float32 rounding
 _INF = np.float32(np.inf)
 
@@ -130,7 +132,7 @@ def _build(centres, normals, parts):
     """Distribute centres over `parts` by normal, each over grids and their cells; the fields of Grid in their order."""
     k = len(centres)
     most = parts * _LEVELS
-    first, start = np.zeros(most, np.int32), np.zeros((_CELLS_PER_CENTRE * k + 64) * _LEVELS, np.int32)
+    first, start = np.zeros(most, np.int32), np.empty((_CELLS_PER_CENTRE * k + 64) * _LEVELS, np.int32)
     origin, cell, size = np.zeros((most, 3), np.float32), np.zeros(most, np.float32), np.zeros((most, 3), np.int32)
     bounds = np.zeros((most, 2, 4), np.float32)
     part_of = np.zeros(k, np.int32)
@@ -165,14 +167,14 @@ def _build(centres, normals, parts):
             longest = max(high[0] - origin[g, 0], high[1] - origin[g, 1], high[2] - origin[g, 2])
             resolution = 1.0
             while True:
-                cell[g] = longest / resolution if longest > 0 else 1.0
+                cell[g] = longest / resolution if longest > _POINT else 1.0
                 finer = 1.0
                 for axis in range(3):
                     size[g, axis] = int((high[axis] - origin[g, axis]) / cell[g]) + 1
                     finer *= size[g, axis] * 1.25 + 1
                 total = size[g, 0] * size[g, 1] * size[g, 2]
                 filled = _count(centres, own[:n], origin[g], cell[g], size[g], cells, counted[:total])
-                if 2 * filled >= n or longest == 0 or finer > _CELLS_PER_CENTRE * n:
+                if 2 * filled >= n or longest <= _POINT or finer > _CELLS_PER_CENTRE * n or resolution * 1.25 > _MOST_CELLS - 1:
                     break
                 resolution *= 1.25
             crowd = 0
@@ -301,11 +303,12 @@ def _search(lanes, positions, normals, grid, first_block, last_block, threshold,
                 break
             if exact and reached[g] * reached[g] * np.float32(_ROUNDING) > reach:
                 break
+            cell = grid.cell[g]
             _next_box(grid, g, steps[g], low, high, visited[g], box)
             for z in range(box[0, 2], box[1, 2]):
-                gap_z = _gap(z, grid.origin[g, 2], grid.cell[g], low[2], high[2])
+                gap_z = _gap(grid.origin[g, 2], z * cell, (z + 1) * cell, cell, low[2], high[2])
                 for y in range(box[0, 1], box[1, 1]):
-                    gap_y = _gap(y, grid.origin[g, 1], grid.cell[g], low[1], high[1])
+                    gap_y = _gap(grid.origin[g, 1], y * cell, (y + 1) * cell, cell, low[1], high[1])
                     if gap_y * gap_y + gap_z * gap_z > reach:
                         continue
                     row = grid.first[g] + (z * grid.size[g, 1] + y) * grid.size[g, 0]
@@ -356,10 +359,9 @@ def _distance_to_grid(grid, g, low, high):
     """Lower bound of the distance between the box [low, high] and the grid's centres."""
     squared = np.float32(0)
     for axis in range(3):
-        end = grid.origin[g, axis] + (grid.size[g, axis] + np.float32(_SLACK)) * grid.cell[g]
-        gap = max(low[axis] - end, grid.origin[g, axis] - high[axis], np.float32(0))
+        gap = _gap(grid.origin[g, axis], np.float32(0), grid.size[g, axis] * grid.cell[g], grid.cell[g], low[axis], high[axis])
         squared += gap * gap
-    return np.sqrt(squared) * np.float32(_ROUNDING)
+    return np.sqrt(squared)
 
 
 @inlined(fastmath=False)
@@ -391,19 +393,20 @@ def _distance_outside(grid, g, low, high, box):
     """Lower bound of the distance from [low, high] to centres outside the box of cells; infinite where there are none."""
     distance = _INF
     for axis in range(3):
+        slack = np.float32(_SLACK) * grid.cell[g]
+        # Relative to the grid's origin, where differences of large coordinates lose nothing.
         if box[0, axis] > 0:
-            distance = min(distance, low[axis] - (grid.origin[g, axis] + (box[0, axis] + np.float32(_SLACK)) * grid.cell[g]))
+            distance = min(distance, (low[axis] - grid.origin[g, axis]) - box[0, axis] * grid.cell[g] - slack)
         if box[1, axis] < grid.size[g, axis]:
-            distance = min(distance, grid.origin[g, axis] + (box[1, axis] - np.float32(_SLACK)) * grid.cell[g] - high[axis])
+            distance = min(distance, box[1, axis] * grid.cell[g] - (high[axis] - grid.origin[g, axis]) - slack)
     return max(distance, np.float32(0)) * np.float32(_ROUNDING)
 
 
 @inlined(fastmath=False)
-def _gap(i, origin, cell, low, high):
-    """Lower bound of the distance along an axis between cell i and [low, high]."""
-    below = low - (origin + (i + 1 + np.float32(_SLACK)) * cell)
-    above = origin + (i - np.float32(_SLACK)) * cell - high
-    return max(below, above, np.float32(0)) * np.float32(_ROUNDING)
+def _gap(origin, begin, end, cell, low, high):
+    """Lower bound of the distance along an axis between [low, high] and the part [begin, end] (m) of a grid."""
+    slack = np.float32(_SLACK) * cell
+    return max((low - origin) - end - slack, begin - (high - origin) - slack, np.float32(0)) * np.float32(_ROUNDING)
 
 
 @inlined(fastmath=False)

@@ -51,6 +51,13 @@ def landscape(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return points.astype(np.float32), (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
 
 
+def distant_line(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A thin straight row of points, so far from the origin that float32 rounds to centimetres."""
+    rng = np.random.default_rng(seed)
+    points = np.array([1e5, -1e5, 3e5]) + rng.random((n, 1)) * [300, 0, 0] + rng.random((n, 3)) * 0.05
+    return points.astype(np.float32), np.tile(np.float32([0, 0.6, 0.8]), (n, 1))
+
+
 def _with_free(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     usable = np.isfinite(normals).all(axis=1) & (normals != 0).any(axis=1)
     return np.where(usable[:, None], normals, np.float32(0)), np.where(usable, np.float32(0), np.float32(NO_NORMAL))

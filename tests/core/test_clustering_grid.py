@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lumigate.core.clustering.blocks import LANES, point_blocks, radix_order
 from lumigate.core.clustering.grid import ANY_NORMAL, Metric, build_grid, nearest
 
-from .clustering_points import awkward, brute_force, landscape, room
+from .clustering_points import awkward, brute_force, distant_line, landscape, room
 
 METRICS = [Metric(), Metric(0.5), Metric(0.75**0.5), Metric(ANY_NORMAL, 0.3), Metric(0.5**0.5, 0.02, 16.0)]
 
@@ -28,7 +28,7 @@ def search(points, normals, centres, centre_normals, count, metric, mode="shells
 @settings(max_examples=60, deadline=None)
 @given(
     n=st.integers(1, 300), k=st.integers(1, 120), count=st.integers(1, 7), metric=st.sampled_from(METRICS), seed=st.integers(0, 10**6),
-    make=st.sampled_from([room, awkward, landscape]), with_normals=st.booleans(),
+    make=st.sampled_from([room, awkward, landscape, distant_line]), with_normals=st.booleans(),
 )  # fmt: skip
 def test_shells_equal_brute_force(n, k, count, metric, seed, make, with_normals):
     points, normals = make(n, seed)
@@ -41,7 +41,7 @@ def test_shells_equal_brute_force(n, k, count, metric, seed, make, with_normals)
     np.testing.assert_array_equal(squared, expected)
 
 
-@pytest.mark.parametrize("make", [room, landscape])
+@pytest.mark.parametrize("make", [room, landscape, distant_line])
 @pytest.mark.parametrize("metric", METRICS)
 def test_shells_equal_brute_force_with_many_centres(metric, make):
     points, normals = make(2000, 1)
@@ -66,6 +66,12 @@ def test_one_far_centre_does_not_hide_the_others():
     centres = np.concatenate([room(300, 5)[0], np.full((1, 3), 1e5, np.float32)])
     ids, _ = search(points, None, centres, None, 2, Metric())
     np.testing.assert_array_equal(ids, brute_force(points, None, centres, None, 2)[0])
+
+
+def test_extents_near_the_smallest_float_are_one_point():
+    centres = np.array([[0, 0, 0], [1e-44, 0, 0], [0, 3e-42, 0]])
+    ids, _ = search(centres, None, centres, None, 3, Metric())
+    np.testing.assert_array_equal(ids, [[0, 1, 2]] * 3)
 
 
 def test_crowds_get_finer_grids():
