@@ -17,7 +17,7 @@ import numpy as np
 
 from ...core.scene import AREA, ELLIPSE, POINT, RECTANGLE, SPOT, SUN, Lamps, Skipped
 from .geometry import instance_visibility
-from .nodes import constant_emission, node_tree, surface_node
+from .nodes import node_tree, surface
 
 _KINDS = {"POINT": POINT, "SPOT": SPOT, "SUN": SUN, "AREA": AREA}
 # Cycles treats a spread of zero as parallel light; the narrowest softbox here has the same power.
@@ -136,10 +136,10 @@ def _power(light: bpy.types.Light, name: str, warnings: list[str]) -> np.ndarray
     power = np.array(light.color, np.float64) * light.energy * 2.0**light.exposure
     if light.use_temperature:
         power *= np.array(light.temperature_color, np.float64)
-    tree = node_tree(light)
-    if tree is None:
+    if node_tree(light) is None:
         return power
-    factor = constant_emission(surface_node(tree))
+    shader = surface(light)
+    factor = np.zeros(3) if shader is None else shader.emission()
     if factor is None:
         warnings.append(f"the nodes of lamp '{name}' vary or are not understood: it shines evenly, with its own power and colour")
         return power

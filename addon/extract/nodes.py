@@ -1,11 +1,51 @@
-"""Reading of node trees whose result does not depend on where they are evaluated."""
+"""Node trees of lamps and worlds, as far as they do not depend on where they are evaluated."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
-_MATH = {"ADD": np.add, "SUBTRACT": np.subtract, "MULTIPLY": np.multiply, "POWER": np.power, "MINIMUM": np.minimum, "MAXIMUM": np.maximum}
+from ...core.surfaces.textures import TexturePool
+from ..materials.builder import Constant, Program
+from ..materials.registry import Unsupported
+from ..materials.tree import Context, Scope
+
+
+class _NoBaker:
+    """Lamps and worlds have no surface to bake on."""
+
+    def bake(self, scope: Scope, socket: bpy.types.NodeSocket) -> np.ndarray:
+        raise Unsupported("it varies")
+
+
+@dataclass(frozen=True)
+class Shader:
+    """A shader node and the tree or group it stands in."""
+
+    scope: Scope
+    node: bpy.types.Node
+
+    def source(self, name: str) -> Shader | None:
+        """The node that feeds an input, None where nothing does."""
+        found = self.scope.source(self.node.inputs[name])
+        return Shader(found[0], found[1].node) if found is not None and found[1].is_output else None
+
+    def constant(self, name: str) -> np.ndarray | None:
+        """(3,) float64 value of an input (a number three times), None where it is not known to be constant."""
+        try:
+            value = self.scope.read(self.node.inputs[name])
+        except Unsupported:
+            return None
+        return np.array(value.rgb, np.float64) if isinstance(value, Constant) else None
+
+    def emission(self) -> np.ndarray | None:
+        """(3,) colour times strength of an Emission or Background node, None where it is not constant."""
+        if self.node.type not in ("EMISSION", "BACKGROUND"):
+            return None
+        color, strength = self.constant("Color"), self.constant("Strength")
+        return None if color is None or strength is None else color * strength
 
 
 def node_tree(data: bpy.types.Light | bpy.types.World) -> bpy.types.ShaderNodeTree | None:
@@ -13,53 +53,11 @@ def node_tree(data: bpy.types.Light | bpy.types.World) -> bpy.types.ShaderNodeTr
     return data.node_tree if bpy.app.version >= (5, 0) or data.use_nodes else None
 
 
-def surface_node(tree: bpy.types.ShaderNodeTree) -> bpy.types.Node | None:
-    """The node that feeds the surface of the output which Cycles renders; None where nothing does."""
+def surface(data: bpy.types.Light | bpy.types.World) -> Shader | None:
+    """The node that feeds the surface of the tree's output, None where nothing does: that is black."""
+    tree = node_tree(data)
     output = tree.get_output_node("CYCLES")
-    link = source(output.inputs["Surface"]) if output is not None else None
-    return link.from_node if link is not None else None
-
-
-def source(socket: bpy.types.NodeSocket) -> bpy.types.NodeLink | None:
-    """The valid link into an input, followed back through reroutes."""
-    while socket.is_linked:
-        link = socket.links[0]
-        if link.is_muted or not link.is_valid:
-            return None
-        if link.from_node.type != "REROUTE":
-            return link
-        socket = link.from_node.inputs[0]
-    return None
-
-
-def constant(socket: bpy.types.NodeSocket) -> np.ndarray | None:
-    """The value of an input as a float64 array of shape () or (3,), None where it is not known to be constant."""
-    link = source(socket)
-    if link is None:
-        return _value(socket)
-    node = link.from_node
-    if node.mute:
+    if output is None:
         return None
-    if node.type in ("RGB", "VALUE"):
-        return _value(node.outputs[0])
-    if node.type == "LIGHT_FALLOFF" and link.from_socket.name == "Quadratic":
-        smooth = constant(node.inputs["Smooth"])
-        return constant(node.inputs["Strength"]) if smooth is not None and smooth == 0 else None
-    if node.type == "MATH" and node.operation in _MATH and not node.use_clamp:
-        a, b = (constant(i) for i in node.inputs[:2])
-        return None if a is None or b is None else _MATH[node.operation](a.mean(), b.mean())
-    return None
-
-
-def constant_emission(node: bpy.types.Node | None) -> np.ndarray | None:
-    """(3,) colour times strength of an Emission or Background node (zeros for no node), None where it is not constant."""
-    if node is None:
-        return np.zeros(3)
-    if node.type not in ("EMISSION", "BACKGROUND") or node.mute:
-        return None
-    color, strength = constant(node.inputs["Color"]), constant(node.inputs["Strength"])
-    return None if color is None or strength is None else np.broadcast_to(color, 3) * strength.mean()
-
-
-def _value(socket: bpy.types.NodeSocket) -> np.ndarray:
-    return np.array(socket.default_value, np.float64)[..., :3] if socket.type == "RGBA" else np.array(socket.default_value, np.float64)
+    scope = Scope(Context(data, Program(), TexturePool(), [], _NoBaker()), tree)
+    return Shader(scope, output).source("Surface")

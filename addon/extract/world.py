@@ -17,7 +17,7 @@ from ...core.errors import SceneError
 from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, SUN, TRANSMISSION, World
 from .fingerprint import fingerprint
 from .lamps import Lamp
-from .nodes import constant, constant_emission, node_tree, source, surface_node
+from .nodes import Shader, node_tree, surface
 from .panorama import Sun, pack_suns, render_panorama, render_panorama_apart, unpack_suns
 
 _MAX_WIDTH = 4096
@@ -57,12 +57,14 @@ def extract_world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, graph
     output = tree.get_output_node("CYCLES")
     if output is not None and output.inputs["Volume"].is_linked:
         found.warnings.append(f"the volume of world '{world.name}' is left out")
-    surface = surface_node(tree)
-    value = constant_emission(surface)
+    shader = surface(world)
+    if shader is None:
+        return found
+    value = shader.emission()
     if value is not None:
         found.world.radiance[:] = np.maximum(value, 0)
         return found
-    radiance = _environment_image(surface)
+    radiance = _environment_image(shader)
     if radiance is None:
         if any(node.type == "LIGHT_PATH" for node in tree.nodes):
             found.warnings.append(f"world '{world.name}' depends on the light path: all rays see what diffuse rays see")
@@ -79,45 +81,46 @@ def _visibility(world: bpy.types.World) -> int:
     return CAMERA * rays.camera | DIFFUSE * rays.diffuse | GLOSSY * rays.glossy | TRANSMISSION * rays.transmission | SHADOW
 
 
-def _environment_image(background: bpy.types.Node) -> np.ndarray | None:
+def _environment_image(background: Shader) -> np.ndarray | None:
     """The panorama of an equirectangular float image that at most turns about the vertical axis, None for anything else."""
-    if background.type != "BACKGROUND" or background.mute:
+    if background.node.type != "BACKGROUND":
         return None
-    strength, link = constant(background.inputs["Strength"]), source(background.inputs["Color"])
-    if strength is None or link is None or link.from_node.type != "TEX_ENVIRONMENT" or link.from_node.mute:
+    strength, environment = background.constant("Strength"), background.source("Color")
+    if strength is None or environment is None or environment.node.type != "TEX_ENVIRONMENT":
         return None
-    node = link.from_node
-    image = node.image
-    if image is None or node.projection != "EQUIRECTANGULAR" or image.source != "FILE" or not image.is_float:
+    image = environment.node.image
+    if image is None or environment.node.projection != "EQUIRECTANGULAR" or image.source != "FILE" or not image.is_float:
         return None
-    turn = _turn(node)
+    turn = _turn(environment)
     width, height = image.size
     if turn is None or width * height == 0 or image.channels < 3:
         return None
     pixels = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(pixels)
     pixels = pixels.reshape(height, width, image.channels)[::-1, :, :3]
-    return _shrink(_shift(pixels, turn / (2 * math.pi) * width), _MAX_WIDTH) * np.float32(strength.mean())
+    return _shrink(_shift(pixels, turn / (2 * math.pi) * width), _MAX_WIDTH) * strength.astype(np.float32)
 
 
-def _turn(node: bpy.types.Node) -> float | None:
+def _turn(environment: Shader) -> float | None:
     """Angle about z by which the lookup of an environment texture is turned, None where it is more than that."""
-    link = source(node.inputs["Vector"])
-    if link is None:
+    origin = environment.source("Vector")
+    if origin is None or _is_direction(environment):
         return 0.0
-    mapping = link.from_node
-    if mapping.type == "TEX_COORD":
-        return 0.0 if link.from_socket.name == "Generated" else None
-    if mapping.type != "MAPPING" or mapping.mute or mapping.vector_type not in ("POINT", "TEXTURE", "VECTOR", "NORMAL"):
+    mapping = origin.node
+    if mapping.type != "MAPPING" or mapping.vector_type not in ("POINT", "TEXTURE", "VECTOR") or not _is_direction(origin):
         return None
-    origin = source(mapping.inputs["Vector"])
-    if origin is None or origin.from_node.type != "TEX_COORD" or origin.from_socket.name != "Generated":
+    location, rotation, scale = (origin.constant(name) for name in ("Location", "Rotation", "Scale"))
+    if location is None or rotation is None or scale is None or rotation[:2].any() or (scale != 1).any():
         return None
-    location = constant(mapping.inputs["Location"]) if mapping.inputs["Location"].enabled else np.zeros(3)
-    rotation, scale = constant(mapping.inputs["Rotation"]), constant(mapping.inputs["Scale"])
-    if location is None or rotation is None or scale is None or location.any() or rotation[:2].any() or (scale != 1).any():
+    if location.any() and mapping.vector_type != "VECTOR":
         return None
     return float(-rotation[2] if mapping.vector_type == "TEXTURE" else rotation[2])
+
+
+def _is_direction(reader: Shader) -> bool:
+    """Whether the input 'Vector' of a node gets the direction of the ray."""
+    found = reader.scope.source(reader.node.inputs["Vector"])
+    return found is not None and found[1].node.type == "TEX_COORD" and found[1].name == "Generated"
 
 
 def _shift(pixels: np.ndarray, columns: float) -> np.ndarray:

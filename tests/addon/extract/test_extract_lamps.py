@@ -171,6 +171,25 @@ def test_constant_nodes_multiply(stage, cycles_irradiance):
     np.testing.assert_allclose(implied.mean(0), cycles_irradiance(16).mean(0), rtol=0.01)
 
 
+def test_blackbody_in_a_group_multiplies(stage, cycles_irradiance):
+    group = bpy.data.node_groups.new("Warm", "ShaderNodeTree")
+    group.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
+    blackbody, end = group.nodes.new("ShaderNodeBlackbody"), group.nodes.new("NodeGroupOutput")
+    blackbody.inputs[0].default_value = 2700
+    group.links.new(blackbody.outputs[0], end.inputs[0])
+
+    def build(tree, emission):
+        node = tree.nodes.new("ShaderNodeGroup")
+        node.node_tree = group
+        tree.links.new(node.outputs[0], emission.inputs["Color"])
+
+    stage.receiver()
+    with_nodes(stage, build)
+    scene = stage.extract()
+    implied = implied_irradiance(scene.lamps, scene.origin, stage.pixel_points)
+    np.testing.assert_allclose(implied.mean(0), cycles_irradiance(16).mean(0), rtol=0.01)
+
+
 def test_varying_nodes_are_named_in_a_warning(stage):
     stage.cube()
     with_nodes(stage, lambda tree, emission: tree.links.new(tree.nodes.new("ShaderNodeTexNoise").outputs[0], emission.inputs["Strength"]))
