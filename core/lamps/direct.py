@@ -4,8 +4,8 @@ Emitters near the scene are few and are then sampled one by one ("groups"), or m
 is one group.  A point's samples are dealt to the groups by what each could send there unshadowed, at least one to
 each that can send anything; where there are fewer samples than groups, the groups are drawn at random.
 
-The same rays carry the light that glossy lobes reflect.  They share it with rays drawn from the lobes (see
-`methods.glossy`) by the balance heuristic (Veach 1997, section 9.2.2): each counts for its share of the density of both.
+The same rays carry the light that glossy lobes reflect, which they share with rays drawn from the lobes (see
+`methods.glossy`) by multiple importance sampling.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count, set_lobe
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import transmittance1
 from ..threads import Progress, run_chunks
-from .lookup import can_be_met, emitter_density
+from .lookup import can_be_met, emitter_density, share_of
 from .sample import sample_emitter
 from .tables import AXIS_Z, CASTS_SHADOW, ONE_MINUS_COS, SEEN_BY_GLOSSY, TRIANGLE, WORLD
 from .tree import CUT, choose, cut_estimate, cut_for, descend, importance
@@ -152,7 +152,7 @@ def _lobe_share(emitters, e, lobe, reflections, expected, px, py, pz, nx, ny, nz
         return _0, _0, _0
     if reflections > 0 and can_be_met(emitters, e):
         aimed = aimed_density(emitters, expected, e, px, py, pz, nx, ny, nz, dx, dy, dz)
-        share = aimed / (aimed + np.float32(reflections) * density)
+        share = share_of(aimed, np.float32(reflections) * density)
         return r * share, g * share, b * share
     return r, g, b
 
@@ -171,10 +171,22 @@ def shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error, dx, dy, dz, t):
 
 
 @kernel
-def light_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
-    """Light that arrives at one point by one shadow ray -> (emitter or -1, d, r, g, b).
+def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end):
+    """Share of light (r, g, b) that a shadow ray lets through up to t = end."""
+    if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, SHADOW):
+        return _0, _0, _0
+    if not scene.emitters.cutouts:
+        return _1, _1, _1
+    return transmittance1(
+        scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, SHADOW
+    )
 
-    (r, g, b) = radiance / density from the direction d.  Random numbers are hashed from (seed, path, dimension, 0..3).
+
+@kernel
+def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
+    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2; its mean is exact.
+
+    For the tails of paths: random numbers are hashed from (seed, path, dimension, 0..3).
     scene: Transport.  packet, rows, surface: scratch.  g, s: geometric and shading normal, on the lit side.
     """
     emitters = scene.emitters
@@ -193,7 +205,7 @@ def light_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, s
                 u = (u - p) / (_1 - p)
             u = min(u, np.float32(0.99999994))
     if chosen < 0:
-        return -1, _0, _0, _0, _0, _0, _0
+        return _0, _0, _0
     e, probability = emitters.groups[chosen], _1
     if e < 0:
         tree = emitters.tree
@@ -201,51 +213,19 @@ def light_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, s
             tree.nodes, tree.two_sided, tree.children, tree.root, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 1)
         )
         if e < 0:
-            return -1, _0, _0, _0, _0, _0, _0
+            return _0, _0, _0
     dx, dy, dz, t, r, g, b, u, v = sample_emitter(
         emitters, e, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 2), uniform(seed, path, dimension, 3), rows, surface
     )
-    if sx * dx + sy * dy + sz * dz <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
-        return -1, _0, _0, _0, _0, _0, _0
-    w = total / (chosen_estimate * probability)
-    if emitters.flags[e] & CASTS_SHADOW:
-        ox, oy, oz, vx, vy, vz, end = shadow_ray(scene, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t)
-        tr, tg, tb = passed(scene, packet, rows, surface, ox, oy, oz, vx, vy, vz, end)
-        r, g, b = r * tr, g * tg, b * tb
-    return e, dx, dy, dz, w * r, w * g, w * b
-
-
-@kernel
-def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end):
-    """Share of light (r, g, b) that a shadow ray lets through up to t = end."""
-    if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, SHADOW):
-        return _0, _0, _0
-    if not scene.emitters.cutouts:
-        return _1, _1, _1
-    return transmittance1(
-        scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, SHADOW
-    )
-
-
-@kernel
-def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
-    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2; its mean is exact.  Arguments as for `light_at`."""
-    _, dx, dy, dz, r, g, b = light_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension)
     cosine = sx * dx + sy * dy + sz * dz
-    return cosine * r, cosine * g, cosine * b
-
-
-@kernel
-def direct_radiance_at(scene, packet, rows, surface, lobe, expected, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
-    """Radiance (r, g, b) that the lobe at one point reflects, by one shadow ray that shares it with one ray drawn from the lobe.
-
-    expected: (G,), `expected_samples` of one sample there.
-    """
-    e, dx, dy, dz, r, g, b = light_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension)
-    if e < 0:
+    if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
         return _0, _0, _0
-    fr, fg, fb = _lobe_share(scene.emitters, e, lobe, 1, expected, x, y, z, sx, sy, sz, dx, dy, dz)
-    return fr * r, fg * g, fb * b
+    w = cosine * total / (chosen_estimate * probability)
+    if emitters.flags[e] & CASTS_SHADOW:
+        ox, oy, oz, dx, dy, dz, end = shadow_ray(scene, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t)
+        tr, tg, tb = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end)
+        r, g, b = r * tr, g * tg, b * tb
+    return w * r, w * g, w * b
 
 
 @kernel
@@ -320,7 +300,7 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
                 drawn[k] = reflection_count(lobes[k], points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], reflections)
                 if drawn[k] > 0:
                     expected_samples(emitters, px, py, pz, sx, sy, sz, samples, estimate, spare, expected[k])
-        n = 0
+        n = np.int64(0)  # no literal, for which the callee would be compiled again
         # Lamp by lamp, so that the rays of a packet go the same way.
         for g in range(n_groups):
             most = 0
@@ -376,7 +356,7 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
                     n_rays += 1
                     if n == WIDTH:
                         _trace_pending(scene, packet, rows, surface, pending, owner, n, out, glossy)
-                        n = 0
+                        n = np.int64(0)
         if n > 0:
             _trace_pending(scene, packet, rows, surface, pending, owner, n, out, glossy)
     return n_rays

@@ -1,6 +1,6 @@
 """Emitters met by rays that were not aimed at them: their light along a ray, and how likely `sample_emitter` aims there.
 
-Multiple importance sampling (Veach 1997, chapter 9) of glossy surfaces needs both.
+Multiple importance sampling of glossy surfaces needs both (Veach 1997, chapter 9).
 """
 
 from __future__ import annotations
@@ -37,6 +37,13 @@ _HALF = np.float32(0.5)
 _1_2PI = np.float32(0.5 / math.pi)
 _1_PI = np.float32(1 / math.pi)
 _INFINITY = np.float32(np.inf)
+
+
+@inlined
+def share_of(own, other):
+    """Weight of a sample whose sampler has the density `own` where another has `other`: the power heuristic, exponent 2."""
+    ratio = other / own
+    return _1 / (_1 + ratio * ratio)
 
 
 @inlined

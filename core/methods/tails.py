@@ -12,14 +12,19 @@ import numpy as np
 from ..jit import kernel
 from ..lamps.direct import direct_irradiance_at
 from ..rays.offsets import hit_point, offset_origin
+from ..rays.packet import new_packet
 from ..rays.trace import ALL, intersect1
 from ..sampling.hashing import uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE, TRANSPARENT
-from ..surfaces.layout import TRANSPARENCY, total_albedo_average
+from ..surfaces.layout import SURFACE, TRANSPARENCY, total_albedo_average
 from ..surfaces.normals import shading_normal
-from ..surfaces.program import MEAN_VIEW, evaluate
+from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
+from ..threads import run_chunks
+from ..transport import Transport
+from ..view.points import ShadingPoints
 
+CHUNK = 1024  # points a chunk
 MAX_PASSED = 64  # transparent surfaces that one ray passes at most
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -32,14 +37,15 @@ DIMENSIONS = 100
 def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach, kinds, seed, path, dimension):
     """The nearest surface along a ray that does not let it through, its material evaluated into `surface`.
 
-    Returns (triangle or -1, u, v, t, r, g, b): (r, g, b) weighs what is seen for what was passed.
+    Returns (triangle or -1, u, v, t, r, g, b): (r, g, b) weighs what is seen, or what lies beyond all surfaces, for
+    what was passed.
     """
     r = g = b = _1
     start = _0
     for layer in range(MAX_PASSED):
         triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, dx, dy, dz, start, reach, kinds)
         if triangle < 0:
-            break
+            return -1, _0, _0, reach, r, g, b
         evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
         if not scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
             return triangle, u, v, t, r, g, b
@@ -93,3 +99,26 @@ def path_irradiance(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx
         if gx * dx + gy * dy + gz * dz > 0:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
     return er, eg, eb
+
+
+@kernel
+def _tail_chunk(scene, position, error, ng, ns, begin, end, bounces, seed, out):
+    packet = new_packet()
+    rows = new_registers(scene.materials)
+    surface = np.zeros(SURFACE, np.float32)
+    for i in range(begin, end):
+        out[i, 0], out[i, 1], out[i, 2] = path_irradiance(
+            scene, packet, rows, surface, position[i, 0], position[i, 1], position[i, 2], error[i],
+            ng[i, 0], ng[i, 1], ng[i, 2], ns[i, 0], ns[i, 1], ns[i, 2], bounces, seed, np.uint32(i),
+        )  # fmt: skip
+
+
+def tail_irradiance(scene: Transport, points: ShadingPoints, bounces: int, seed: int, threads: int = 0) -> np.ndarray:
+    """One sample of `path_irradiance` at each of N points, (N, 3) float32 W/m^2."""
+    out = np.zeros((len(points.pixel), 3), np.float32)
+
+    def work(begin, end):
+        _tail_chunk(scene, points.position, points.error, points.ng, points.ns, begin, end, bounces, np.uint32(seed), out)
+
+    run_chunks(work, len(out), CHUNK, threads)
+    return out

@@ -1,0 +1,276 @@
+"""Glossy reflections at shading points: emitters and lit surfaces found by rays drawn from each point's lobe.
+
+What such a ray finds shining is direct light, which it shares with the shadow rays of `lamps.direct` by multiple
+importance sampling: narrow lobes find broad lights, shadow rays find small lights for broad lobes.  The lit surfaces
+that it finds are shading points themselves: diffuse ones are lit by paths (`tails`), and mirrors reflect in turn.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..jit import kernel
+from ..lamps.direct import aimed_density, direct_light, expected_samples, passed, set_point_lobe
+from ..lamps.lookup import lamp_along, share_of
+from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, WORLD
+from ..lamps.world import world_radiance
+from ..rays.offsets import hit_point, offset_origin
+from ..rays.packet import new_packet
+from ..sampling.hashing import hash_combine, uniform
+from ..sampling.sequences import sobol
+from ..scene import CONSTANT, EMISSIVE, GLOSSY, NORMAL_MAPPED
+from ..surfaces.layout import (
+    EMISSION,
+    GLOSSY_F0,
+    GLOSSY_F90,
+    NORMAL,
+    ROUGHNESS,
+    SURFACE,
+    diffuse_albedo,
+    glossy_albedo,
+    total_albedo_average,
+)
+from ..surfaces.lobes import LOBE, NEGLIGIBLE, reflection_count, sample_lobe
+from ..surfaces.normals import shading_normal
+from ..surfaces.program import evaluate, new_registers, reflected_view
+from ..threads import Cancelled, Progress, run_chunks
+from ..transport import Transport
+from ..view.points import ShadingPoints
+from .tails import nearest_surface, tail_irradiance
+
+CHUNK = 512  # points a chunk
+BLOCK = 65536  # points whose reflections are followed together: bounds the memory
+MAX_REFLECTIONS = 32  # from mirror to mirror
+_SURE = 3  # reflections after which chance ends dim paths
+# Rougher surfaces that a reflection shows count as diffuse, with the albedo of all of their lobes.
+_NARROW = np.float32(0.35)
+_SEED = 0x9E3779B9  # sets these rays apart from those of other stages
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+_SHORT = np.float32(0.9999)  # as for shadow rays: a lamp often lies in a surface
+
+
+@kernel
+def _emitter_of(emitters, triangle):
+    """The emitter that a triangle is, -1 for none (their list is sorted)."""
+    low, high = 0, len(emitters.triangle)
+    while low < high:
+        middle = (low + high) >> 1
+        if emitters.triangle[middle] < triangle:
+            low = middle + 1
+        else:
+            high = middle
+    return emitters.first_triangle + low if low < len(emitters.triangle) and emitters.triangle[low] == triangle else -1
+
+
+@kernel
+def _lamps_along(scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz):
+    """Radiance (r, g, b) of the lamps along d, weighed by the share of rays drawn with the density `drawn`.
+
+    Lamps hide nothing, neither each other nor what lies behind them.
+    """
+    emitters = scene.emitters
+    r = g = b = _0
+    for e in range(len(emitters.source)):
+        if not emitters.flags[e] & SEEN_BY_GLOSSY:
+            continue
+        t, w = lamp_along(emitters, e, x, y, z, dx, dy, dz)
+        if not w > _0:
+            continue
+        w *= share_of(drawn, aimed_density(emitters, expected, e, x, y, z, sx, sy, sz, dx, dy, dz))
+        tr = tg = tb = _1
+        if emitters.flags[e] & CASTS_SHADOW:
+            ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
+            tr, tg, tb = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t * _SHORT)
+        r += w * tr * emitters.radiance[e, 0]
+        g += w * tg * emitters.radiance[e, 1]
+        b += w * tb * emitters.radiance[e, 2]
+    return r, g, b
+
+
+@kernel
+def _reflect_chunk(scene, points, owner, begin, end, samples, most, roulette, seed, first, shown, hits, mirror):
+    """Draw up to `most` rays from the lobe of each point begin..end-1: emission that they meet is added to `shown` (N, 3).
+
+    The surfaces met go into `hits`, whose `pixel` is the `owner` (N,) of their point and whose albedo, f0 and f90 hold the
+    weight of their ray; one with a narrow lobe reflects (mirror (H,) is 1) or is diffuse (0) at random.
+    Returns the number of hits and of rays.
+    """
+    emitters = scene.emitters
+    packet = new_packet()
+    rows = new_registers(scene.materials)
+    surface = np.zeros(SURFACE, np.float32)
+    lobe = np.zeros(LOBE, np.float32)
+    groups = len(emitters.groups)
+    estimate, count, expected = np.empty(groups, np.float32), np.empty(groups, np.int32), np.empty(groups, np.float32)
+    shining = len(emitters.source)
+    world = shining < len(emitters.kind) and emitters.kind[shining] == WORLD and emitters.flags[shining] & SEEN_BY_GLOSSY
+    n_hits = rays = 0
+    for i in range(begin, end):
+        set_point_lobe(points, i, lobe)
+        n = reflection_count(lobe, points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], most)
+        if n == 0:
+            continue
+        x, y, z, error = points.position[i, 0], points.position[i, 1], points.position[i, 2], points.error[i]
+        gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
+        sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+        expected_samples(emitters, x, y, z, sx, sy, sz, samples, estimate, count, expected)
+        key = hash_combine(seed, i)
+        for s in range(n):
+            index = first * n + s
+            dx, dy, dz, wr, wg, wb, density = sample_lobe(lobe, sobol(index, 0, key), sobol(index, 1, key))
+            if gx * dx + gy * dy + gz * dz <= _0 or not max(wr, wg, wb) > _0:
+                continue
+            drawn = np.float32(n) * density
+            wr, wg, wb = wr / np.float32(n), wg / np.float32(n), wb / np.float32(n)
+            rays += 1
+            r, g, b = _lamps_along(scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz)
+            shown[i, 0] += wr * r
+            shown[i, 1] += wg * g
+            shown[i, 2] += wb * b
+            ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
+            triangle, u, v, _, tr, tg, tb = nearest_surface(
+                scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), GLOSSY, key, index, 0
+            )
+            wr, wg, wb = wr * tr, wg * tg, wb * tb
+            if triangle < 0:
+                if world:
+                    share = share_of(drawn, aimed_density(emitters, expected, shining, x, y, z, sx, sy, sz, dx, dy, dz))
+                    r, g, b = world_radiance(emitters.world, dx, dy, dz)
+                    shown[i, 0] += share * wr * r
+                    shown[i, 1] += share * wg * g
+                    shown[i, 2] += share * wb * b
+                continue
+            material = scene.material[triangle]
+            flags = scene.materials.flags[material]
+            px, py, pz, hx, hy, hz, p_error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
+            nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, hx, hy, hz)
+            behind = hx * dx + hy * dy + hz * dz > 0
+            cosine = min(_1, abs(nx * dx + ny * dy + nz * dz))
+            narrow = (
+                surface[ROUGHNESS] < _NARROW and max(surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]) > NEGLIGIBLE
+            )
+            if (narrow or flags & EMISSIVE) and not flags & CONSTANT:  # it may depend on the view
+                evaluate(scene.materials, material, scene.attributes, triangle, u, v, reflected_view(-cosine if behind else cosine), rows, surface)
+            if flags & NORMAL_MAPPED:
+                nx, ny, nz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
+                cosine = min(_1, abs(nx * dx + ny * dy + nz * dz))
+            if behind:
+                hx, hy, hz, nx, ny, nz = -hx, -hy, -hz, -nx, -ny, -nz
+            if flags & EMISSIVE:
+                e = _emitter_of(emitters, triangle)
+                share = _1
+                if e >= 0:
+                    share = share_of(drawn, aimed_density(emitters, expected, e, x, y, z, sx, sy, sz, dx, dy, dz))
+                shown[i, 0] += share * wr * surface[EMISSION]
+                shown[i, 1] += share * wg * surface[EMISSION + 1]
+                shown[i, 2] += share * wb * surface[EMISSION + 2]
+            if roulette:
+                go_on = min(np.float32(0.95), max(wr, wg, wb))
+                if uniform(key, index, 1, 0) >= go_on:
+                    continue
+                wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
+            mirror[n_hits] = 0
+            if narrow:
+                ar, ag, ab = diffuse_albedo(surface, cosine)
+                fr, fg, fb = glossy_albedo(surface, cosine)
+                chance = (fr + fg + fb) / max(fr + fg + fb + ar + ag + ab, np.float32(1e-6))
+                mirror[n_hits] = uniform(key, index, 1, 1) < chance
+                rest = _1 / chance if mirror[n_hits] else _1 / (_1 - chance)
+                wr, wg, wb = wr * rest, wg * rest, wb * rest
+            else:
+                ar, ag, ab = total_albedo_average(surface)
+            if mirror[n_hits]:
+                ar = ag = ab = _0
+                hits.f0[n_hits, 0], hits.f90[n_hits, 0] = wr * surface[GLOSSY_F0], wr * surface[GLOSSY_F90]
+                hits.f0[n_hits, 1], hits.f90[n_hits, 1] = wg * surface[GLOSSY_F0 + 1], wg * surface[GLOSSY_F90 + 1]
+                hits.f0[n_hits, 2], hits.f90[n_hits, 2] = wb * surface[GLOSSY_F0 + 2], wb * surface[GLOSSY_F90 + 2]
+            elif not max(wr * ar, wg * ag, wb * ab) > _0:
+                continue
+            hits.albedo[n_hits, 0], hits.albedo[n_hits, 1], hits.albedo[n_hits, 2] = wr * ar, wg * ag, wb * ab
+            hits.position[n_hits, 0], hits.position[n_hits, 1], hits.position[n_hits, 2] = px, py, pz
+            hits.ng[n_hits, 0], hits.ng[n_hits, 1], hits.ng[n_hits, 2] = hx, hy, hz
+            hits.ns[n_hits, 0], hits.ns[n_hits, 1], hits.ns[n_hits, 2] = nx, ny, nz
+            hits.wo[n_hits, 0], hits.wo[n_hits, 1], hits.wo[n_hits, 2] = -dx, -dy, -dz
+            hits.error[n_hits], hits.roughness[n_hits] = p_error, surface[ROUGHNESS]
+            hits.pixel[n_hits], hits.triangle[n_hits] = owner[i], triangle
+            n_hits += 1
+    return n_hits, rays
+
+
+def _draw(
+    scene: Transport, points: ShadingPoints, owner: np.ndarray, samples: int, most: int, roulette: bool, seed: int, threads: int, first: int
+):
+    """Rays from all points -> (emission met (N, 3), diffuse hits, mirrors hit, number of rays)."""
+    shown = np.zeros((len(owner), 3), np.float32)
+
+    def work(begin, end):
+        room = ShadingPoints.allocate((end - begin) * most)
+        mirror = np.empty((end - begin) * most, np.uint8)
+        n, rays = _reflect_chunk(
+            scene, points, owner, begin, end, samples, most, roulette, np.uint32(seed), np.int64(first), shown, room, mirror
+        )
+        mirror = mirror[:n].astype(bool)
+        room = room.take(slice(0, n))
+        return room.take(~mirror), room.take(mirror), rays
+
+    parts = run_chunks(work, len(owner), CHUNK, threads)
+    diffuse, mirrors = (ShadingPoints.concatenate([part[k] for part in parts]) for k in (0, 1))
+    return shown, diffuse, mirrors, sum(part[2] for part in parts)
+
+
+def has_lobes(points: ShadingPoints) -> bool:
+    """Whether any point reflects enough to be worth a ray."""
+    return bool((points.f90 > NEGLIGIBLE).any() or (points.f0 > NEGLIGIBLE).any())
+
+
+def _add(out: np.ndarray, owner: np.ndarray, radiance: np.ndarray) -> None:
+    for c in range(3):
+        out[:, c] += np.bincount(owner, radiance[:, c], len(out))
+
+
+def reflect(
+    scene: Transport, points: ShadingPoints, samples: int, reflections: int, bounces: int, seed: int,
+    threads: int = 0, progress: Progress | None = None, *, first: int = 0,
+) -> tuple[np.ndarray, np.ndarray, int]:  # fmt: skip
+    """What the glossy lobes of shading points show, by rays drawn from the lobes.
+
+    Args:
+        samples, reflections, first: as in the call of `lamps.direct_light` that gives the rest of the direct light.
+            A point gets up to `reflections` rays, fewer where its lobe is faint beside its diffuse albedo.
+        bounces: diffuse bounces of the indirect light (a glossy one counts as none).
+
+    Returns:
+        ((N, 3) direct, (N, 3) indirect radiance, float32 W/m^2/sr, number of rays drawn).
+
+    Raises:
+        Cancelled: `progress` returned False.
+    """
+    n = len(points.position)
+    direct, indirect = np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
+    total = 0
+    for begin in range(0, n, BLOCK):
+        block = slice(begin, min(begin + BLOCK, n))
+        part = ShadingPoints(*(a[block] for a in points))
+        key = (seed ^ _SEED) + begin & 0xFFFFFFFF
+        owner = np.arange(len(part.pixel), dtype=np.int32)
+        shown, diffuse, mirrors, rays = _draw(scene, part, owner, samples, reflections, False, key, threads, first)
+        direct[block] = shown
+        total += rays
+        lit = [diffuse]
+        for depth in range(1, MAX_REFLECTIONS):
+            if len(mirrors.pixel) == 0:
+                break
+            key = key + 1 & 0xFFFFFFFF
+            _, light, rays = direct_light(scene, mirrors, 1, key, threads, reflections=1)
+            shown, diffuse, further, drawn = _draw(scene, mirrors, mirrors.pixel, 1, 1, depth >= _SURE, key, threads, 0)
+            _add(indirect[block], mirrors.pixel, light + shown)
+            lit.append(diffuse)
+            mirrors = further
+            total += rays + drawn
+        hits = ShadingPoints.concatenate(lit)
+        irradiance = tail_irradiance(scene, hits, bounces + 1, key, threads)
+        _add(indirect[block], hits.pixel, hits.albedo * irradiance * np.float32(1 / np.pi))
+        if progress is not None and not progress(block.stop / n):
+            raise Cancelled
+    return direct, indirect, total
