@@ -26,8 +26,8 @@ _CLOSURES = frozenset(
     }
 )
 # What depends on the point or the view, and is therefore never folded.
-_VARYING = frozenset({ops.ATTRIBUTE, ops.TEXTURE, ops.TEXTURE_BOX, ops.FRESNEL, ops.FACING, ops.BACKFACING})
-_VIEW_DEPENDENT = frozenset({ops.FRESNEL, ops.FACING, ops.BACKFACING, ops.COAT_CLOSURE, ops.SHEEN_CLOSURE})
+_VARYING = frozenset({ops.ATTRIBUTE, ops.TEXTURE, ops.TEXTURE_BOX, ops.FRESNEL, ops.FACING, ops.BACKFACING, ops.VIEWED})
+_VIEW_DEPENDENT = frozenset({ops.FRESNEL, ops.FACING, ops.BACKFACING, ops.VIEWED, ops.COAT_CLOSURE, ops.SHEEN_CLOSURE})
 
 
 @dataclass(frozen=True)

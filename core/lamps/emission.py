@@ -16,7 +16,7 @@ from ..sampling.discrete import sample_cdf
 from ..sampling.maps import concentric_disk, cosine_hemisphere, to_world, uniform_cone, uniform_sphere, uniform_triangle
 from ..scene import AREA, SPOT, SUN
 from ..surfaces.layout import EMISSION
-from ..surfaces.program import evaluate
+from ..surfaces.program import evaluate, reflected_view
 from .tables import (
     AREA_M2,
     AXIS_X,
@@ -202,7 +202,7 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
         x, y, z = offset_origin(x, y, z, nx, ny, nz, error, dx, dy, dz)
         if emitters.flags[e] & TEXTURED:
             triangle, material = emitters.triangle[i], emitters.material[i]
-            evaluate(emitters.materials, material, emitters.attributes, triangle, u, v, side * lz, rows, surface)
+            evaluate(emitters.materials, material, emitters.attributes, triangle, u, v, reflected_view(side * lz), rows, surface)
             k = _2PI * shapes[i, AREA_M2]
             r, g, b = k * surface[EMISSION], k * surface[EMISSION + 1], k * surface[EMISSION + 2]
     elif kind == WORLD or kind == SUN:

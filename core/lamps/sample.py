@@ -7,7 +7,7 @@ import numpy as np
 from ..jit import inlined
 from ..scene import AREA, SUN
 from ..surfaces.layout import EMISSION
-from ..surfaces.program import evaluate
+from ..surfaces.program import evaluate, reflected_view
 from .shapes import sample_area, sample_mesh_triangle, sample_point, sample_sun
 from .tables import ELLIPTIC, NORMAL, SOFT, TEXTURED, TRIANGLE, WORLD
 from .world import sample_world
@@ -37,7 +37,7 @@ def sample_emitter(emitters, e, px, py, pz, nx, ny, nz, u1, u2, rows, surface):
         if emitters.flags[e] & TEXTURED and w > 0:
             side = -(dx * shapes[i, NORMAL] + dy * shapes[i, NORMAL + 1] + dz * shapes[i, NORMAL + 2])
             triangle, material = emitters.triangle[i], emitters.material[i]
-            evaluate(emitters.materials, material, emitters.attributes, triangle, u, v, side, rows, surface)
+            evaluate(emitters.materials, material, emitters.attributes, triangle, u, v, reflected_view(side), rows, surface)
             r, g, b = surface[EMISSION], surface[EMISSION + 1], surface[EMISSION + 2]
     elif kind == WORLD:
         dx, dy, dz, r, g, b = sample_world(emitters.world, nx, ny, nz, u1, u2)

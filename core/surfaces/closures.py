@@ -28,6 +28,9 @@ from .layout import (
 
 F = np.float32
 
+# Added to |cosine| where not the camera looks, but light that is reflected on (see `program.reflected_view`).
+REFLECTED = F(4)
+
 
 @inlined_leaf
 def add(surface, at, wr, wg, wb, r, g, b):
@@ -185,19 +188,20 @@ def sheen_albedo(cosine, roughness):
 def coat(surface, strength, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
     """Principled BSDF's coat: adds its lobe and returns the weight of what lies below.
 
-    cosine: of the view, below 0 from behind; above 1 stands for the mean over the hemisphere.
+    cosine: see `program.evaluate`.
     """
     strength = max(strength, F(0))
     roughness = min(max(roughness, F(0)), F(1))
     ior = max(ior, F(1))
     f0 = f0_of_ior(ior)
     z = np.sqrt(np.sqrt(f0))
-    if abs(cosine) > F(1):
+    if F(1) < abs(cosine) < REFLECTED:
         albedo = ggx.layer_albedo_mean(f0, z, roughness, F(1))
         cos2 = F(0.5)
     else:
-        albedo = f0 + (F(1) - f0) * ggx.fresnel_rise(z, abs(cosine), roughness)
-        cos2 = cosine * cosine
+        c = view_cosine(cosine)
+        albedo = f0 + (F(1) - f0) * ggx.fresnel_rise(z, c, roughness)
+        cos2 = c * c
     if ior > F(1):
         _add_glossy(surface, strength * wr, strength * wg, strength * wb, f0, f0, f0, F(1), F(1), F(1), roughness)
     else:
@@ -212,8 +216,9 @@ def coat(surface, strength, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
 
 @inlined_leaf
 def view_cosine(cosine):
-    """|cosine| of the view; its cosine-weighted mean 2/3 for the mean over the views."""
-    return min(abs(cosine), F(1)) if abs(cosine) <= F(1) else F(2 / 3)
+    """|cosine| of the view, of `program.evaluate`'s argument; the cosine-weighted mean 2/3 for the mean over the views."""
+    c = abs(cosine)
+    return c if c <= F(1) else c - REFLECTED if c >= REFLECTED else F(2 / 3)
 
 
 @inlined_leaf

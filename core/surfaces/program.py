@@ -44,6 +44,7 @@ MEAN_VIEW = 2.0
     FRESNEL,  # dielectric Fresnel term for the index of refraction a.x
     FACING,  # 1 - |cosine| ** a.x
     BACKFACING,  # 1 where the back is seen
+    VIEWED,  # 1 for the camera's view, 0 for light that is reflected on
     # -- closures; d is the weight --
     DIFFUSE_CLOSURE,  # colour a
     EMISSION_CLOSURE,  # radiance a
@@ -55,7 +56,7 @@ MEAN_VIEW = 2.0
     SHEEN_CLOSURE,  # (weight, roughness) a, tint b; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
     NORMAL_MAP,  # world-space normal a
-) = range(25)
+) = range(26)
 
 
 @kernel
@@ -82,12 +83,19 @@ def _box(tables, texture, x, y, z, nx, ny, nz, mix):
 
 
 @inlined_leaf
+def reflected_view(cosine):
+    """What `evaluate` takes for a view that is not the camera's: materials may show it something else."""
+    return cosine - closures.REFLECTED if cosine < F(0) else cosine + closures.REFLECTED
+
+
+@inlined_leaf
 def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface):
     """Writes the surface of `material` at a point of a triangle into `surface`, (SURFACE,) float32.
 
     tables: MaterialTables.  attributes: (K, T, 3, 4).  (u, v): barycentric, weights of corners 1 and 2.
-    cosine: of the view with the shading normal, below 0 where the back of the triangle is seen;
-        MEAN_VIEW for the mean over the views.  rows: from `new_registers`.
+    cosine: of the camera's view with the shading normal, below 0 where the back of the triangle is seen;
+        `reflected_view(cosine)` for any other view; MEAN_VIEW for the mean over those.
+    rows: from `new_registers`.
     """
     if tables.flags[material] & CONSTANT:
         for k in range(SURFACE):
@@ -153,6 +161,8 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
             x = y = z = F(1) - closures.view_cosine(cosine) ** ax
         elif op == BACKFACING:
             x = y = z = F(1) if cosine < F(0) else F(0)
+        elif op == VIEWED:
+            x = y = z = F(1) if abs(cosine) <= F(1) else F(0)
         elif op == DIFFUSE_CLOSURE:
             closures.add(surface, DIFFUSE, dx, dy, dz, ax, ay, az)
         elif op == EMISSION_CLOSURE:

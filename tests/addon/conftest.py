@@ -85,6 +85,12 @@ class Grid:
 
         self.add(name, build)
 
+    def mean_surface(self, name: str) -> np.ndarray:
+        """The surface of a material as light that is reflected on meets it."""
+        tables = compile_materials([MaterialUse(self.materials[name][0])]).materials.tables
+        zeros = np.zeros(1, np.int32)
+        return evaluate_batch(tables, zeros, np.zeros((1, 1, 3, 4), np.float32), zeros, zeros, zeros)[0]
+
     def compare(self) -> dict[str, Compared]:
         columns = math.ceil(math.sqrt(len(self.materials)))
         for i, (name, (material, angle)) in enumerate(self.materials.items()):

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from lumigate.core.surfaces import layout
+
 ANGLES = (0.0, 0.6, 1.1, 1.35)
 # One row of pixels that stays on the plane at every angle.
 MIDDLE = slice(32, 40)
@@ -114,3 +116,16 @@ def test_mixed_and_added_shaders(grid, node):
 def test_transparency(grid, node, node_type, inputs, expected):
     grid.add("it", _surface(node, node_type, inputs=inputs))
     np.testing.assert_allclose(grid.compare()["it"].transparency[0], expected, atol=0.004)
+
+
+def test_light_path_tells_the_camera_from_reflected_light(grid, node):
+    """The lamp that the camera sees at another strength than the room does."""
+
+    def camera_ray(tree):
+        return tree.nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"]
+
+    weak, strong = (_shader(node, "ShaderNodeEmission", inputs={"Strength": s}) for s in (1.0, 10.0))
+    grid.add("it", _surface(node, "ShaderNodeMixShader", inputs={0: camera_ray, 1: strong, 2: weak}))
+    got = grid.compare()["it"]
+    np.testing.assert_allclose(got.emission, got.passes["Emit"])
+    np.testing.assert_allclose(grid.mean_surface("it")[layout.EMISSION], 10)

@@ -224,3 +224,15 @@ def test_mixed_lobes_keep_the_share_of_each():
     np.testing.assert_allclose(surface[layout.LAYERED : layout.LAYERED + 3], (0.4, 0.2, 0.1), rtol=1e-6)
     assert surface[layout.LAYER_F0] == pytest.approx(0.04)
     assert surface[layout.LAYER_ROUGHNESS] == pytest.approx(0.3)
+
+
+def test_reflected_views_have_the_albedo_of_the_cameras_view():
+    """Only what asks whether the camera looks can tell them apart."""
+    tables = principled((0.6, 0.3, 0.1), 0.4, 1.5, 0.5, coat=0.8)
+    cosine = np.array([-1, -0.3, 0.2, 0.9], F)
+    camera = evaluate(tables, 4, cosine=cosine)
+    others = evaluate(tables, 4, cosine=np.array([ops.reflected_view(c) for c in cosine], F))
+    np.testing.assert_allclose(camera, others, atol=1e-6)
+    emits = tables_of([(ops.VIEWED, 0, 0), (ops.EMISSION_CLOSURE, 1, 0, R, R, R + 1, 0)], [(0,) * 4, (1,) * 4])
+    views = np.array([0.5, -0.5, ops.reflected_view(F(0.5)), ops.reflected_view(F(-0.5)), ops.MEAN_VIEW], F)
+    np.testing.assert_array_equal(evaluate(emits, 5, cosine=views)[:, layout.EMISSION], [1, 1, 0, 0, 0])

@@ -133,15 +133,13 @@ def layer_weight(node: NodeInput, output: str) -> Value:
     return node.emit(ops.FACING, node.emit(ops.MIX, node.math("LESS_THAN", blend, scalar(0.5)), high, low))
 
 
-@value("ShaderNodeCameraData", "ShaderNodeLightPath", "ShaderNodeParticleInfo", "ShaderNodeHairInfo", "ShaderNodePointInfo")
-def unknown_input(node: NodeInput, output: str) -> Value:
-    """What depends on the ray or on particles: see `light_path` for the one that has an answer."""
-    if node.node.bl_idname == "ShaderNodeLightPath":
-        return _light_path(node, output)
-    raise Unsupported(f"node '{node.node.name}' ({node.node.bl_label}) reads '{output}'")
-
-
-def _light_path(node: NodeInput, output: str) -> Value:
-    """Light Path as a camera ray sees it, but for shadow rays nothing differs."""
-    node.warn(f"Light Path ('{output}') is read as for a camera ray")
-    return {"Is Camera Ray": ONE, "Ray Length": ONE}.get(output, ZERO)
+@value("ShaderNodeLightPath")
+def light_path(node: NodeInput, output: str) -> Value:
+    """Light Path, which tells camera rays from light that is reflected on, and no more."""
+    node.warn(f"Light Path ('{output}') knows camera rays and diffuse ones only")
+    viewed = node.emit(ops.VIEWED)
+    if output == "Is Camera Ray":
+        return viewed
+    if output in ("Is Diffuse Ray", "Ray Depth", "Diffuse Depth"):
+        return node.complement(viewed)
+    return ONE if output == "Ray Length" else ZERO
