@@ -49,6 +49,8 @@ def extract_scene(
     found: Collected
     lamps: CollectedLamps
     found, lamps, view = in_render_depsgraph(scene, layer, read) if depsgraph is None else read(depsgraph)
+    if depsgraph is None:
+        layer.update()
     graph = depsgraph if depsgraph is not None else layer.depsgraph
     compiled = compile_materials(_uses(found, graph))
     geometry, origin, dropped = assemble(found, compiled)

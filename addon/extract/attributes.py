@@ -34,12 +34,14 @@ class Batch:
 
     world: (n, V, 3) float64.  normals: (n, T, 3, 3) float32, world shading normals.
     normal_matrix: (n, 3, 3) float64: a row vector's normal times it is the world normal.
+    warnings: lines for the user.
     """
 
     parts: list[Part]
     world: np.ndarray
     normals: np.ndarray
     normal_matrix: np.ndarray
+    warnings: list[str]
 
     @property
     def mesh(self) -> MeshCopy:
@@ -119,8 +121,12 @@ def _baked(batch: Batch, by_object: dict[str, np.ndarray]) -> np.ndarray:
     uv = np.zeros((len(batch.parts), len(batch.mesh.corners), 3, 3), np.float32)
     for target, part in zip(uv, batch.parts):
         baked = by_object.get(part.name)
-        if baked is not None and baked.shape == (*target.shape[:2], 2):
+        if baked is not None and len(baked) == len(target):
             target[..., :2] = baked
+        else:
+            line = f"'{part.name}' has other faces in a render than in the viewport: its baked textures are wrong; give its modifiers the same levels"
+            if line not in batch.warnings:
+                batch.warnings.append(line)
     return uv
 
 

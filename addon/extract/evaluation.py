@@ -8,7 +8,7 @@ outside of a render an engine that draws nothing is run for the moment (1-8 ms i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any, TypeVar
 
 import bpy
@@ -23,6 +23,7 @@ _SMALL = {
     "resolution_y": 16,
     "resolution_percentage": 100,
     "use_border": False,
+    "use_single_layer": False,
     "use_compositing": False,
     "use_sequencer": False,
 }
@@ -62,8 +63,11 @@ def in_render_depsgraph(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer,
 
     bpy.utils.register_class(Probe)
     try:
-        with overridden(scene.render, engine=Probe.bl_idname, **_SMALL):
-            bpy.ops.render.render(scene=scene.name, layer=view_layer.name)
+        with ExitStack() as stack:
+            stack.enter_context(overridden(scene.render, engine=Probe.bl_idname, **_SMALL))
+            for layer in scene.view_layers:  # the operator's own argument for this renders the first one too
+                stack.enter_context(overridden(layer, use=layer == view_layer))
+            bpy.ops.render.render(scene=scene.name)
     except RuntimeError as error:
         raise SceneError(f"Blender cannot evaluate scene '{scene.name}' for a render: {error}") from error
     finally:

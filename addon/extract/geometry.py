@@ -184,6 +184,7 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
             world=world[vertices].reshape(n, -1, 3),
             normals=geometry.corner_normals[triangles].reshape(n, -1, 3, 3),
             normal_matrix=normal_matrix,
+            warnings=warnings,
         )
         with np.errstate(all="ignore"):  # invalid coordinates are looked for below
             np.matmul(mesh.vertices.astype(np.float64), matrices[:, :3, :3].transpose(0, 2, 1), out=batch.world)

@@ -38,19 +38,22 @@ class Sun:
     angle: float
 
 
-def render_panorama(world: bpy.types.World, frame: int, width: int, height: int, samples: int) -> tuple[np.ndarray, list[Sun]]:
-    """(height, width, 3) float32 radiance, row 0 at the top, and the suns that it leaves out. `world` is no evaluated one."""
+def render_panorama(world: bpy.types.World, frame: int, width: int, height: int) -> tuple[np.ndarray, list[Sun]]:
+    """(height, width, 3) float32 radiance, row 0 at the top, and the suns that it leaves out.
+
+    Each pixel is the radiance of its middle.  `world` is no evaluated one.
+    """
     with tempfile.TemporaryDirectory() as folder, _stage(world, frame) as (scene, copy):
         path = Path(folder) / "world.exr"
         discs = [node for node in copy.node_tree.nodes if _has_disc(node)] if copy.node_tree else []
         for node in discs:
             node.sun_disc = False
-        radiance = _shoot(scene, (width, height), samples, path)
+        radiance = _shoot(scene, (width, height), 1, path)
         suns = [_measure_sun(scene, node, path) for node in discs]
     return radiance, [sun for sun in suns if sun.irradiance.any()]
 
 
-def render_panorama_apart(world: bpy.types.World, frame: int, width: int, height: int, samples: int) -> tuple[np.ndarray, list[Sun]]:
+def render_panorama_apart(world: bpy.types.World, frame: int, width: int, height: int) -> tuple[np.ndarray, list[Sun]]:
     """`render_panorama` in a process of its own.
 
     Raises:
@@ -60,7 +63,7 @@ def render_panorama_apart(world: bpy.types.World, frame: int, width: int, height
         task = Path(folder) / "task.json"
         library = Path(folder) / "world.blend"
         bpy.data.libraries.write(str(library), {world}, path_remap="ABSOLUTE")
-        task.write_text(json.dumps({"world": world.name, "frame": frame, "width": width, "height": height, "samples": samples}))
+        task.write_text(json.dumps({"world": world.name, "frame": frame, "width": width, "height": height}))
         blender = [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1", "--python", __file__, "--"]
         command = blender if bpy.app.binary_path else [sys.executable, __file__]
         run = subprocess.run([*command, folder], capture_output=True, text=True, check=False)
@@ -94,6 +97,7 @@ def _stage(world: bpy.types.World, frame: int):
         scene.world = copy
         scene.frame_set(frame)
         copy.cycles_visibility.camera = True
+        copy.cycles.sampling_method = "NONE"  # nothing here is lit by it, and its map takes longer than the picture
         if copy.node_tree is not None:
             _freeze_light_path(copy.node_tree)
         scene.render.engine = "CYCLES"

@@ -21,8 +21,7 @@ from .nodes import Shader, node_tree, surface
 from .panorama import Sun, pack_suns, render_panorama, render_panorama_apart, unpack_suns
 
 _MAX_WIDTH = 4096
-# Width of a panorama of nodes that name no image, and camera samples that a rendered panorama may cost.
-_WIDTH, _SAMPLES = 1024, 2**21
+_WIDTH = 1024  # of a rendered panorama whose nodes name no larger image
 _CACHE_BYTES = 2**30
 
 
@@ -55,6 +54,11 @@ def extract_world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, graph
         found.world.radiance[:] = world.color
         return found
     output = tree.get_output_node("CYCLES")
+    for node in tree.nodes:
+        if node.type in ("TEX_ENVIRONMENT", "TEX_IMAGE") and node.image is not None and not node.image.size[0]:
+            found.warnings.append(
+                f"image '{node.image.name}' of world '{world.name}' cannot be read: relink its file ({node.image.filepath})"
+            )
     if output is not None and output.inputs["Volume"].is_linked:
         found.warnings.append(f"the volume of world '{world.name}' is left out")
     shader = surface(world)
@@ -147,15 +151,12 @@ def _rendered(scene: bpy.types.Scene, world: bpy.types.World, tree: bpy.types.No
     """The panorama and suns of any world, from the cache or by Cycles."""
     widths = [node.image.size[0] for node in tree.nodes if node.type == "TEX_ENVIRONMENT" and node.image is not None]
     width = min(max([_WIDTH, *widths]), _MAX_WIDTH)
-    height = width // 2
-    samples = max(1, min(_SAMPLES // (width * height), 16))
-    frame = scene.frame_current
-    stored = _cache_folder() / f"{fingerprint(tree, width, samples)}.npz"
+    stored = _cache_folder() / f"{fingerprint(tree, width)}.npz"
     with suppress(OSError, ValueError, KeyError), np.load(stored) as kept:  # a damaged file is rendered again
         return kept["radiance"], unpack_suns(kept["suns"])
     render = render_panorama_apart if rendering else render_panorama
     try:
-        radiance, suns = render(world.original, frame, width, height, samples)
+        radiance, suns = render(world.original, scene.frame_current, width, width // 2)
     except (RuntimeError, OSError) as error:
         raise SceneError(f"Cycles cannot render world '{world.name}': {error}") from error
     with suppress(OSError):  # without a writable folder it is rendered each time

@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix
 
+from lumigate.addon.extract import geometry
+from lumigate.addon.extract.evaluation import in_render_depsgraph
 from lumigate.addon.extract.tangents import tangents
+from lumigate.addon.materials import AttributeRequest, CompiledMaterials
 from lumigate.addon.materials import requests as rq
 
 GAIN, OFFSET = 0.1, 0.5  # values may be negative and light may not
@@ -194,10 +197,39 @@ def test_mirroring_turns_the_bitangent(stage):
 
 def tangent_attribute(stage):
     """Slot 0 with the tangents of the active UV map, asked for directly."""
-    from lumigate.addon.extract import geometry
-    from lumigate.addon.extract.evaluation import in_render_depsgraph
-    from lumigate.addon.materials import AttributeRequest, CompiledMaterials
+    return assembled(stage, rq.TANGENT)[0].attributes[0]
 
+
+def assembled(stage, kind, name="", baked=None):
+    """`assemble` of the one material in the scene, which reads one attribute."""
     found = in_render_depsgraph(stage.scene, stage.scene.view_layers[0], geometry.collect)
-    compiled = CompiledMaterials(materials=None, requests=[[AttributeRequest(rq.TANGENT)]])
-    return geometry.assemble(found, compiled)[0].attributes[0]
+    compiled = CompiledMaterials(materials=None, requests=[[AttributeRequest(kind, name)]], baked_uvs=baked or {})
+    return geometry.assemble(found, compiled)
+
+
+def test_baked_uvs_are_of_each_object(stage):
+    first = stage.cube("First")
+    stage.link("Second", first.data)
+    stage.link("Third", first.data)
+    baked = {name: np.random.default_rng(i).random((12, 3, 2)).astype(np.float32) for i, name in enumerate(("First", "Second"))}
+    baked["Third"] = np.ones((48, 3, 2), np.float32)  # of a subdivided viewport
+    g, _, warnings = assembled(stage, rq.BAKED, "bake", {"bake": baked})
+    for i, name in enumerate(("First", "Second")):
+        np.testing.assert_array_equal(g.attributes[0][g.object == i][..., :2], baked[name])
+    assert not g.attributes[0][g.object == 2][..., :2].any()
+    assert [w for w in warnings if "'Third'" in w and "viewport" in w]
+
+
+@pytest.mark.parametrize("kind", [rq.WORLD_NORMAL, rq.FACE_NORMAL])
+def test_normals_in_the_world(stage, kind):
+    ob = sheet(stage)
+    ob.scale, ob.rotation_euler = (-1, 2, 0.5), (0.2, 0.3, 0.4)
+    g = assembled(stage, kind)[0]
+    if kind == rq.WORLD_NORMAL:
+        expected = g.corner_normals
+    else:
+        a, b, c = g.vertices.astype(float)[g.triangles].transpose(1, 0, 2)
+        faces = np.cross(b - a, c - a)
+        expected = np.repeat((faces / np.linalg.norm(faces, axis=1, keepdims=True))[:, None], 3, axis=1)
+    np.testing.assert_allclose(g.attributes[0][..., :3], expected, atol=1e-4)
+    assert (g.attributes[0][..., 3] == 1).all()

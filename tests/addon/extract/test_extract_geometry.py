@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix
 
+from lumigate.addon.extract import extract_scene
 from lumigate.addon.extract import geometry as room
 from lumigate.core.errors import SceneError
 from lumigate.core.scene import ALL_RAYS, CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
@@ -363,3 +364,26 @@ def test_render_engine_hands_in_its_own_evaluation(stage):
     cube.modifiers.new("Subdivision", "SUBSURF").render_levels = 1
     found = in_render_depsgraph(stage.scene, stage.scene.view_layers[0], lambda graph: stage.extract(depsgraph=graph))
     assert len(found.geometry.triangles) == 48
+
+
+def test_a_scene_that_is_not_the_open_one(stage):
+    other = bpy.data.scenes.new("Other")
+    cube = stage.cube("Elsewhere", "Red")
+    stage.scene.collection.objects.unlink(cube)
+    other.collection.objects.link(cube)
+    other.collection.objects.link(stage.camera)
+    other.camera = stage.camera
+    scene = extract_scene(other)
+    assert scene.geometry.object_names == ["Elsewhere"] and scene.materials.names == ["Red"]
+    assert bpy.context.scene == stage.scene
+
+
+def test_a_view_layer_by_name(stage):
+    stage.cube()
+    layer = stage.scene.view_layers.new("Clay")
+    layer.material_override, layer.use = stage.material("Clay"), False
+    scene = stage.extract(view_layer="Clay")
+    assert (scene.view_layer, scene.materials.names) == ("Clay", ["Clay"])
+    assert not layer.use
+    scene = stage.extract()
+    assert (scene.view_layer, scene.materials.names) == ("ViewLayer", [""])

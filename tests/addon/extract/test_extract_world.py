@@ -143,7 +143,7 @@ def test_environment_image_is_taken_as_it_is(stage, sky, tmp_path, turn, kind):
     scene = stage.extract()
     assert scene.world.radiance.shape == (64, 128, 3)
     assert not (tmp_path / "worlds").exists()
-    by_cycles, _ = render_panorama(stage.scene.world, 1, 128, 64, 1)
+    by_cycles, _ = render_panorama(stage.scene.world, 1, 128, 64)
     np.testing.assert_allclose(scene.world.radiance, by_cycles, atol=0.05)
     np.testing.assert_allclose(scene.world.radiance.mean((0, 1)), by_cycles.mean((0, 1)), rtol=2e-3)
 
@@ -229,10 +229,19 @@ def test_volume_is_named_in_a_warning(stage, sky):
     assert any("volume of world 'World'" in warning for warning in stage.extract().warnings)
 
 
+def test_missing_image_is_named_in_a_warning(stage, sky, tmp_path):
+    tree, background = sky
+    picture = saved(image(blobs()), tmp_path)
+    (tmp_path / "sky.exr").unlink()
+    picture.reload()
+    environment(tree, background, picture)
+    assert any("sky.exr" in warning and "'World'" in warning for warning in stage.extract().warnings)
+
+
 @pytest.mark.slow
 def test_a_process_of_its_own_renders_the_same(stage, sky, tmp_path):
     tree, background = sky
     environment(tree, background, image(blobs()), (0.5, 0.3, 0.2)).image.pack()
-    here, _ = render_panorama(stage.scene.world, 1, 64, 32, 1)
-    apart, _ = render_panorama_apart(stage.scene.world, 1, 64, 32, 1)
+    here, _ = render_panorama(stage.scene.world, 1, 64, 32)
+    apart, _ = render_panorama_apart(stage.scene.world, 1, 64, 32)
     np.testing.assert_allclose(apart, here, atol=1e-6)
