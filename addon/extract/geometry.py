@@ -244,12 +244,10 @@ def _flip(geometry: Geometry, triangles: np.ndarray) -> None:
 def _drop_invalid(geometry: Geometry, world: np.ndarray, broken: np.ndarray) -> list[str]:
     """Remove triangles with NaN, infinite or huge vertices and those of broken objects; `world` is made finite. Warnings."""
     with np.errstate(invalid="ignore"):
+        if -_LIMIT < world.min(initial=0) and world.max(initial=0) < _LIMIT and not broken.any():  # a NaN fails this too
+            return []
         valid = (np.abs(world) < _LIMIT).all(1)
-    bad = broken[geometry.object]
-    if not valid.all():
-        bad |= ~valid[geometry.triangles].all(1)
-    if not bad.any():
-        return []
+    bad = broken[geometry.object] | ~valid[geometry.triangles].all(1)
     dropped = np.bincount(geometry.object[bad], minlength=len(geometry.object_names))
     used = np.zeros(len(world), bool)
     used[geometry.triangles[~bad]] = True
