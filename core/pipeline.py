@@ -13,8 +13,9 @@ from .denoise import Denoiser
 from .errors import SceneError
 from .inspection import foresee
 from .jit import CompileTimer
-from .lamps import build_emitters, direct_irradiance, world_tables
+from .lamps import build_emitters, direct_irradiance, direct_light, world_tables
 from .layers import Layers
+from .methods.glossy import has_lobes, reflect
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
 from .particles import Vpls
@@ -96,10 +97,11 @@ def render(
             run.rays["primary"] = seen.rays
         points = seen.points
         with run.stage("direct") as tick:
-            direct = _direct(run, scene, tables, points, settings, threads, tick)
+            direct, highlights = _direct(run, scene, tables, points, settings, threads, tick)
+        shown, reflected = _glossy(run, tables, points, settings, threads)
         indirect, vpls = _indirect(run, tables, points, settings, threads)
         debug = single_lights(tables, vpls, points, seen.shape, threads) if settings.debug_layers else {}
-    layers = compose(seen, direct, indirect, scene)
+    layers = compose(seen, direct, indirect, highlights + shown, reflected, scene)
     if settings.denoise:
         with run.stage("denoise"):
             denoise(layers, threads, run.warnings)
@@ -133,17 +135,39 @@ def _method(settings: RenderSettings) -> str:
     raise SceneError(f"method {settings.method!r} is not available; use instant-radiosity or auto")
 
 
-def _direct(run: _Run, scene: Scene, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, tick) -> np.ndarray:
-    """Direct irradiance at the points (N, 3)."""
-    by_maps = np.zeros((len(points.pixel), 3), np.float32)
+def _direct(
+    run: _Run, scene: Scene, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, tick
+) -> tuple[np.ndarray, np.ndarray]:
+    """Direct irradiance at the points (N, 3), and the radiance that their lobes reflect of it (N, 3) by shadow rays."""
+    by_maps = highlights = np.zeros((len(points.pixel), 3), np.float32)
+    lobes = has_lobes(points)
+    samples, seed = settings.direct_samples, settings.seed
+    if lobes:
+        by_rays, highlights, rays = direct_light(tables, points, samples, seed, threads, tick, reflections=settings.reflections)
+        run.rays["shadow"] += rays
     if settings.visibility == "shadow-maps" and len(point_lamps(tables.emitters)):
-        by_maps, rays = direct_by_maps(tables, points, seed=settings.seed, threads=threads)
+        by_maps, rays = direct_by_maps(tables, points, seed=seed, threads=threads)
         run.rays["shadow"] += rays
         others = scene.lamps.take(~np.isin(scene.lamps.kind, (POINT, SPOT)))
-        tables = tables._replace(emitters=build_emitters(replace(scene, lamps=others)))
-    by_rays, rays = direct_irradiance(tables, points, settings.direct_samples, settings.seed, threads, tick)
-    run.rays["shadow"] += rays
-    return by_maps + by_rays
+        tables, lobes = tables._replace(emitters=build_emitters(replace(scene, lamps=others))), False
+    if not lobes:
+        by_rays, rays = direct_irradiance(tables, points, samples, seed, threads, tick)
+        run.rays["shadow"] += rays
+    return by_maps + by_rays, highlights
+
+
+def _glossy(run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> tuple[np.ndarray, np.ndarray]:
+    """Direct and indirect radiance (N, 3) that rays drawn from the points' lobes find."""
+    nothing = np.zeros((len(points.pixel), 3), np.float32)
+    if not has_lobes(points) or settings.reflections < 1:
+        run.skipped.append(Skipped("glossy", "no visible surface is glossy" if settings.reflections > 0 else "no reflections asked for"))
+        return nothing, nothing
+    with run.stage("glossy") as tick:
+        shown, reflected, rays = reflect(
+            tables, points, settings.direct_samples, settings.reflections, settings.bounces, settings.seed, threads, tick
+        )
+        run.rays["reflected"] = rays
+    return shown, reflected
 
 
 def _indirect(run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> tuple[np.ndarray, Vpls]:
@@ -181,7 +205,11 @@ def _indirect(run: _Run, tables: Transport, points: ShadingPoints, settings: Ren
 
 def splat(points: ShadingPoints, irradiance: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Outgoing diffuse radiance of the pixels, (H, W, 3): the sum of albedo * irradiance / pi over their points."""
-    radiance = points.albedo * irradiance * np.float32(1 / np.pi)
+    return splat_radiance(points, points.albedo * irradiance * np.float32(1 / np.pi), shape)
+
+
+def splat_radiance(points: ShadingPoints, radiance: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Sum of the radiance (N, 3) of each pixel's points, (H, W, 3)."""
     n = shape[0] * shape[1]
     out = np.empty((n, 3), np.float32)
     for c in range(3):
@@ -189,12 +217,14 @@ def splat(points: ShadingPoints, irradiance: np.ndarray, shape: tuple[int, int])
     return out.reshape(*shape, 3)
 
 
-def compose(seen: View, direct: np.ndarray, indirect: np.ndarray, scene: Scene) -> Layers:
-    """The layers of the contract from irradiances at the shading points."""
+def compose(
+    seen: View, direct: np.ndarray, indirect: np.ndarray, glossy_direct: np.ndarray, glossy_indirect: np.ndarray, scene: Scene
+) -> Layers:
+    """The layers of the contract from irradiances and glossy radiances (N, 3) at the shading points."""
     shape = seen.shape
-    diffuse_direct = splat(seen.points, direct, shape)
+    all_direct = splat(seen.points, direct, shape) + splat_radiance(seen.points, glossy_direct, shape)
     diffuse_indirect = splat(seen.points, indirect, shape)
-    glossy_indirect = np.zeros_like(diffuse_indirect)
+    glossy_indirect = splat_radiance(seen.points, glossy_indirect, shape)
     total = diffuse_indirect + glossy_indirect
     with np.errstate(divide="ignore", invalid="ignore"):
         irradiance = np.where(seen.albedo > 0, np.float32(np.pi) * diffuse_indirect / seen.albedo, np.float32(0))
@@ -202,8 +232,8 @@ def compose(seen: View, direct: np.ndarray, indirect: np.ndarray, scene: Scene) 
     camera = scene.camera
     return Layers(
         {
-            "Combined": diffuse_direct + total + seen.emission,
-            "Direct": diffuse_direct,
+            "Combined": all_direct + total + seen.emission,
+            "Direct": all_direct,
             "Indirect": total,
             "DiffuseIndirect": diffuse_indirect,
             "GlossyIndirect": glossy_indirect,

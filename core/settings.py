@@ -20,6 +20,7 @@ class RenderSettings:
 
     vpls: virtual point lights that the view uses.  bounces: diffuse bounces of the indirect light.
     pixel_samples: primary samples a pixel.  direct_samples: shadow rays a shading point for `Direct`.
+    reflections: most rays drawn from the glossy lobe of a shading point.
     denoise: None lets the method choose.  time_budget: seconds; target_error: relMSE.
     layers: names of the layers wanted (None: all of the contract).
     """
@@ -31,6 +32,7 @@ class RenderSettings:
     threads: int = 0
     pixel_samples: int = 16
     direct_samples: int = 16
+    reflections: int = 8
     denoise: bool | None = None
     time_budget: float | None = None
     target_error: float | None = None

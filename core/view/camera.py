@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined
-from ..sampling.hashing import uniform
+from ..sampling.hashing import hash_combine
+from ..sampling.sequences import sobol
 from ..scene import Camera
 
 
@@ -63,16 +64,10 @@ def camera_ray(camera, x, y):
 
 
 @inlined
-def stratum(sample, side_x, side_y, seed, pixel):
-    """Position of a sample in the pixel's square: jittered strata of a side_x x side_y grid."""
-    jx = uniform(seed, pixel, sample, 0)
-    jy = uniform(seed, pixel, sample, 1)
-    x = (np.float32(sample % side_x) + jx) / np.float32(side_x)
-    y = (np.float32(sample // side_x) + jy) / np.float32(side_y)
-    return x, y
+def pixel_sample(sample, seed, pixel):
+    """Position of a sample in the pixel's square: Sobol points under a scramble of the pixel's own.
 
-
-def strata(samples: int) -> tuple[int, int]:
-    """The most square grid of exactly `samples` strata."""
-    side = next(s for s in range(int(np.sqrt(samples)), 0, -1) if samples % s == 0)
-    return samples // side, side
+    Sixteen of them lie in sixteen different columns and rows, so that edges of any slope are covered evenly.
+    """
+    scramble = hash_combine(seed, pixel)
+    return sobol(sample, 0, scramble), sobol(sample, 1, scramble)

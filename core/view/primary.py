@@ -24,7 +24,7 @@ from ..surfaces.layout import EMISSION, GLOSSY_F0, GLOSSY_F90, NORMAL, ROUGHNESS
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import evaluate, new_registers
 from ..threads import Progress, run_chunks
-from .camera import camera_ray, camera_tables, strata, stratum
+from .camera import camera_ray, camera_tables, pixel_sample
 from .points import ShadingPoints
 
 TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample index
@@ -75,14 +75,14 @@ def _same_surface(px, py, pz, nx, ny, nz, qx, qy, qz, mx, my, mz, width):
 
 @kernel
 def _trace_tile(
-    rays, camera, materials, material, attributes, tx, ty, side_x, side_y, seed, packet, rows, surface, hits, weight, direction, depth
+    rays, camera, materials, material, attributes, tx, ty, samples, seed, packet, rows, surface, hits, weight, direction, depth
 ):
     """Trace the samples of one tile. hits: (16, P, 3) float32 bits of triangle, u, v; the number of rays comes back."""
     x1, y1 = camera.border[2], camera.border[3]
     origin = np.empty((WIDTH, 3), np.float32)
     count = 0
     triangles = hits.view(np.int32)
-    for s in range(side_x * side_y):
+    for s in range(samples):
         for lane in range(WIDTH):
             px, py = tx + lane % TILE, ty + lane // TILE
             triangles[lane, s, 0] = -1
@@ -91,7 +91,7 @@ def _trace_tile(
                 continue
             # Numbered by the full frame: a border shows the very pixels of the whole picture.
             number = py * camera.size[0] + px
-            jx, jy = stratum(s, side_x, side_y, seed, number)
+            jx, jy = pixel_sample(s, seed, number)
             ox, oy, oz, dx, dy, dz, slant = camera_ray(camera, np.float32(px) + jx, np.float32(py) + jy)
             set_ray(packet, lane, ox, oy, oz, dx, dy, dz, np.float32(0.0), (camera.clip[1] - camera.clip[0]) * slant, CAMERA)
             origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
@@ -139,7 +139,7 @@ def _trace_tile(
 
 
 @kernel
-def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, side_y, seed, points, layers):
+def _view_tiles(rays, camera, materials, geometry, world, begin, end, samples, seed, points, layers):
     """Trace, evaluate and group the samples of the tiles begin..end-1.
 
     geometry: (vertices, triangles, corner_normals, attributes, material, object).  points: room for all that
@@ -150,7 +150,6 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, si
     x0, y0, x1, y1 = camera.border[0], camera.border[1], camera.border[2], camera.border[3]
     width = x1 - x0
     tiles_x = (width + TILE - 1) // TILE
-    samples = side_x * side_y
     share = np.float32(1.0 / samples)
     packet = new_packet()
     surface = np.zeros(SURFACE, np.float32)
@@ -179,8 +178,7 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, side_x, si
             attributes,
             tx,
             ty,
-            side_x,
-            side_y,
+            samples,
             seed,
             packet,
             rows,
@@ -307,7 +305,6 @@ def view(scene: Scene, rays, world, samples: int, seed: int, threads: int = 0, p
     x0, y0, x1, y1 = (int(b) for b in camera.border)
     height, width = y1 - y0, x1 - x0
     layers = np.zeros((height * width, 13), np.float32)
-    side_x, side_y = strata(samples)
     tiles = -(-width // TILE) * -(-height // TILE)
     chunk = 16
     g = scene.geometry
@@ -315,9 +312,7 @@ def view(scene: Scene, rays, world, samples: int, seed: int, threads: int = 0, p
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * WIDTH * samples)
-        n, n_rays = _view_tiles(
-            rays, camera, scene.materials.tables, geometry, world, begin, end, side_x, side_y, np.uint32(seed), room, layers
-        )
+        n, n_rays = _view_tiles(rays, camera, scene.materials.tables, geometry, world, begin, end, samples, np.uint32(seed), room, layers)
         return room.take(slice(0, n)), n_rays
 
     parts = run_chunks(work, tiles, chunk, threads, progress)
