@@ -151,7 +151,17 @@ def _reflect_chunk(scene, points, owner, begin, end, samples, most, roulette, se
                 surface[ROUGHNESS] < _NARROW and max(surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]) > NEGLIGIBLE
             )
             if (narrow or flags & EMISSIVE) and not flags & CONSTANT:  # it may depend on the view
-                evaluate(scene.materials, material, scene.attributes, triangle, u, v, reflected_view(-cosine if behind else cosine), rows, surface)
+                evaluate(
+                    scene.materials,
+                    material,
+                    scene.attributes,
+                    triangle,
+                    u,
+                    v,
+                    reflected_view(-cosine if behind else cosine),
+                    rows,
+                    surface,
+                )
             if flags & NORMAL_MAPPED:
                 nx, ny, nz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
                 cosine = min(_1, abs(nx * dx + ny * dy + nz * dz))
