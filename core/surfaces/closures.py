@@ -61,10 +61,10 @@ def f0_of_ior(ior):
 
 @inlined_leaf
 def _darkening(mean_fresnel, roughness, multiple):
-    """Mean factor by which scattering more than once darkens a lobe; 1 where it is not modelled."""
-    if not multiple:
-        return F(1)
+    """Mean factor by which scattering more than once darkens a lobe; where it is not modelled, that light is lost."""
     e = ggx.single_scattering_mean(roughness)
+    if not multiple:
+        return e
     return e + ggx.multiple_scattering(mean_fresnel, roughness) * (F(1) - e)
 
 
@@ -117,10 +117,9 @@ def metal(surface, r, g, b, roughness, multiple, tr, tg, tb, wr, wg, wb):
     """Conductor with reflectance (r, g, b) at normal incidence and the tint (tr, tg, tb) at 82 degrees (F82)."""
     roughness = min(max(roughness, F(0)), F(1))
     r, g, b = min(max(r, F(0)), F(1)), min(max(g, F(0)), F(1)), min(max(b, F(0)), F(1))
-    if multiple:
-        wr *= _darkening(_f82_mean(r, tr), roughness, True)
-        wg *= _darkening(_f82_mean(g, tg), roughness, True)
-        wb *= _darkening(_f82_mean(b, tb), roughness, True)
+    wr *= _darkening(_f82_mean(r, tr), roughness, multiple)
+    wg *= _darkening(_f82_mean(g, tg), roughness, multiple)
+    wb *= _darkening(_f82_mean(b, tb), roughness, multiple)
     _add_glossy(surface, wr, wg, wb, r, g, b, F(1), F(1), F(1), roughness)
 
 
@@ -138,10 +137,9 @@ def glossy(surface, r, g, b, roughness, multiple, wr, wg, wb):
     """Glossy BSDF: the same reflectance at every angle."""
     roughness = min(max(roughness, F(0)), F(1))
     r, g, b = max(r, F(0)), max(g, F(0)), max(b, F(0))
-    if multiple:
-        r *= _darkening(min(r, F(1)), roughness, True)
-        g *= _darkening(min(g, F(1)), roughness, True)
-        b *= _darkening(min(b, F(1)), roughness, True)
+    r *= _darkening(min(r, F(1)), roughness, multiple)
+    g *= _darkening(min(g, F(1)), roughness, multiple)
+    b *= _darkening(min(b, F(1)), roughness, multiple)
     _add_glossy(surface, wr, wg, wb, r, g, b, r, g, b, roughness)
 
 
