@@ -132,8 +132,8 @@ def kernel(function=None, *, fast: bool = True, **options):
 
 
 def inlined(function=None, **options):
-    """A device function that is always inlined by LLVM into the kernel that calls it."""
-    options = {"error_model": "numpy", "fastmath": FAST_MATH, "forceinline": True} | options
+    """A `leaf` that LLVM always inlines into the kernel that calls it."""
+    options = {"error_model": "numpy", "fastmath": FAST_MATH, "forceinline": True, "_nrt": False} | options
     decorate = numba.njit(**options)
     return decorate if function is None else decorate(function)
 
@@ -144,11 +144,6 @@ def leaf(function=None, **options):
     Counting them on every call would have all threads write to the same cache lines.
     """
     return kernel(function, _nrt=False, **options)
-
-
-def inlined_leaf(function=None, **options):
-    """An inlined device function that makes and keeps no array (see `leaf`)."""
-    return inlined(function, _nrt=False, **options)
 
 
 def c_function(signature):

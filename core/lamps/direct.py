@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import inlined, kernel, leaf
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.packet import WIDTH, disable_ray, is_occluded, new_packet, set_ray
 from ..rays.trace import OPAQUE, occluded1, occluded_packet
@@ -77,7 +77,7 @@ def group_estimate(emitters, group, px, py, pz, nx, ny, nz):
     return importance(tree.nodes, tree.two_sided, e, px, py, pz, nx, ny, nz)
 
 
-@kernel
+@leaf
 def deal(estimate, samples, offset, count, weight):
     """Deal `samples` to groups by their estimates; writes how many each gets and the weight of each sample.
 
@@ -110,7 +110,7 @@ def deal(estimate, samples, offset, count, weight):
             weight[g] = _1 / np.float32(n + 1)
 
 
-@kernel
+@leaf
 def expected_samples(emitters, px, py, pz, nx, ny, nz, samples, estimate, count, expected):
     """How many of `samples` each group gets at p with normal n, on average, into `expected` (G,).
 
@@ -123,7 +123,7 @@ def expected_samples(emitters, px, py, pz, nx, ny, nz, samples, estimate, count,
         expected[g] = _1 / expected[g] if expected[g] > _0 else _0
 
 
-@kernel
+@leaf
 def aimed_density(emitters, expected, e, px, py, pz, nx, ny, nz, dx, dy, dz):
     """Light samples per steradian in a direction d that meets emitter e, where groups get `expected` samples each.
 
@@ -170,7 +170,7 @@ def shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error, dx, dy, dz, t):
     return ox, oy, oz, dx, dy, dz, t * _SHORT
 
 
-@kernel
+@leaf
 def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end):
     """Share of light (r, g, b) that a shadow ray lets through up to t = end."""
     if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, SHADOW):
@@ -182,7 +182,7 @@ def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end):
     )
 
 
-@kernel
+@leaf
 def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
     """Irradiance (r, g, b) at one point by one shadow ray, W/m^2; its mean is exact.
 
@@ -362,7 +362,7 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
     return n_rays
 
 
-@kernel
+@leaf
 def set_point_lobe(points, i, lobe):
     """The lobe of point i (of `Receivers` or `ShadingPoints`) into a row."""
     set_lobe(

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import inlined, leaf
 from ..rays.offsets import hit_point, offset_origin
 from ..sampling.discrete import sample_cdf
 from ..sampling.maps import concentric_disk, cosine_hemisphere, to_world, uniform_cone, uniform_sphere, uniform_triangle
@@ -47,7 +47,7 @@ _PI = np.float32(math.pi)
 _2PI = np.float32(2 * math.pi)
 
 
-@kernel(fast=False)
+@leaf(fast=False)
 def _spot_one_minus_cos(outer, inner, u):
     """1 - cosine off the axis with density ~ a spot's attenuation: 1 above `inner`, smoothstep down to `outer`."""
     full, edge = 1.0 - inner, 0.5 * (inner - outer)
@@ -72,7 +72,7 @@ def _spot_one_minus_cos(outer, inner, u):
     return full + (1.0 - x) * (inner - outer)
 
 
-@kernel(fast=False)
+@leaf(fast=False)
 def _spread_angle(half, u):
     """Angle off the axis with density ~ cos (1 - tan / tan(half)) sin, the light of an area lamp with spread."""
     cotangent = math.cos(half) / math.sin(half)
@@ -95,7 +95,7 @@ def _spread_angle(half, u):
     return x
 
 
-@kernel
+@leaf
 def _box_entry(box, dx, dy, dz, u1, u2):
     """Where a ray of direction d enters the box, uniform over the box's shadow -> (x, y, z, shadow's area)."""
     sx, sy, sz = box[1, 0] - box[0, 0], box[1, 1] - box[0, 1], box[1, 2] - box[0, 2]
@@ -114,7 +114,7 @@ def _box_entry(box, dx, dy, dz, u1, u2):
     return box[0, 0] + sx * min(u / max(az, np.float32(1e-30)), _1), box[0, 1] + sy * u2, z, area
 
 
-@kernel
+@leaf
 def _emit_point(lamps, i, spot, soft, u1, u2, u3, u4):
     """Point and spot lamps -> (origin, direction, distance before which the particle does not count).
 
@@ -146,7 +146,7 @@ def _emit_point(lamps, i, spot, soft, u1, u2, u3, u4):
     return x, y, z, dx, dy, dz, near
 
 
-@kernel
+@leaf
 def _emit_area(lamps, i, ellipse, u1, u2, u3, u4):
     """Area lamps -> (origin, direction): uniform on the shape, cosine with the spread around the axis."""
     if ellipse:

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import inlined, leaf
 from ..scene import AREA, SUN
 from .shapes import area_part, area_view, lamp_cone, spot_attenuation, spread_attenuation, triangle_view
 from .solid_angle import rectangle_angle, triangle_angle
@@ -61,7 +61,7 @@ def _one_minus_cos_between(ax, ay, az, bx, by, bz):
     return _HALF * (x * x + y * y + z * z)
 
 
-@kernel
+@leaf
 def lamp_along(emitters, e, px, py, pz, dx, dy, dz):
     """Lamp e along the unit direction d from p -> (distance, share of its radiance); the share is 0 where it is not met.
 
@@ -105,7 +105,7 @@ def lamp_along(emitters, e, px, py, pz, dx, dy, dz):
     return t, spot_attenuation(lamps, e, cosine)
 
 
-@kernel
+@leaf
 def emitter_density(emitters, e, px, py, pz, nx, ny, nz, dx, dy, dz):
     """Density (per sr) of `sample_emitter` for the surface p with normal n in a direction d that meets emitter e."""
     lamps, kind, flags = emitters.lamps, emitters.kind[e], emitters.flags[e]

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import inlined, leaf
 from ..sampling.maps import concentric_disk, cosine_hemisphere, to_world, uniform_cone, uniform_triangle
 from .solid_angle import sample_rectangle, sample_triangle
 from .tables import (
@@ -105,7 +105,7 @@ def area_part(lamps, i, ellipse, x, y, height):
     return max(-half_x, x - reach), min(half_x, x + reach), max(-half_y, y - reach), min(half_y, y + reach), by_area
 
 
-@kernel
+@leaf
 def sample_point(lamps, i, soft, px, py, pz, nx, ny, nz, u1, u2):
     """Point and spot lamps -> (d, distance, radiance factor / density).
 
@@ -144,7 +144,7 @@ def sample_point(lamps, i, soft, px, py, pz, nx, ny, nz, u1, u2):
     return dx, dy, dz, t, weight * spot_attenuation(lamps, i, cosine)
 
 
-@kernel
+@leaf
 def sample_sun(lamps, i, u1, u2):
     """Sun -> (d, radiance factor / density); of a sun without size the factor is that of its irradiance."""
     lx, ly, lz = uniform_cone(u1, u2, lamps[i, ONE_MINUS_COS])
@@ -153,7 +153,7 @@ def sample_sun(lamps, i, u1, u2):
     return dx, dy, dz, _2PI * lamps[i, ONE_MINUS_COS] if lamps[i, ONE_MINUS_COS] > _0 else _1
 
 
-@kernel
+@leaf
 def sample_area(lamps, i, ellipse, px, py, pz, u1, u2):
     """Area lamps -> (d, distance, radiance factor / density).
 
@@ -206,7 +206,7 @@ def triangle_view(shapes, i, px, py, pz):
     return ax, ay, az, ex, ey, ez, fx, fy, fz, longest > np.float32(0.1) * (mx * mx + my * my + mz * mz), coplanar
 
 
-@kernel
+@leaf
 def sample_mesh_triangle(shapes, i, px, py, pz, u1, u2):
     """Emissive triangles -> (d, distance, 1 / density, u, v): uniform in solid angle near by, in area far away."""
     ax, ay, az, ex, ey, ez, fx, fy, fz, near, coplanar = triangle_view(shapes, i, px, py, pz)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from ..jit import kernel
+from ..jit import leaf
 
 
-@kernel(fast=False)
+@leaf(fast=False)
 def sample_rectangle(x0, x1, y0, y1, height, u1, u2):
     """Point of the rectangle [x0, x1] x [y0, y1] in the plane z = height, uniform in solid angle from the origin.
 
@@ -46,18 +46,18 @@ def sample_rectangle(x0, x1, y0, y1, height, u1, u2):
     return x, min(max(y, y0), y1), angle
 
 
-@kernel(fast=False)
+@leaf(fast=False)
 def rectangle_angle(x0, x1, y0, y1, height):
     """Solid angle (sr) of the rectangle [x0, x1] x [y0, y1] in the plane z = height from the origin; height > 0."""
     return _corner(x1, y1, height) - _corner(x0, y1, height) - _corner(x1, y0, height) + _corner(x0, y0, height)
 
 
-@kernel(fast=False)
+@leaf(fast=False)
 def _corner(x, y, height):
     return math.atan(x * y / (height * math.sqrt(x * x + y * y + height * height)))
 
 
-@kernel(fast=False)
+@leaf(fast=False)
 def triangle_angle(ax, ay, az, bx, by, bz, cx, cy, cz):
     """Solid angle (sr) of the triangle abc from the origin (Van Oosterom & Strackee 1983)."""
     la, lb, lc = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz), math.sqrt(cx * cx + cy * cy + cz * cz)
@@ -66,7 +66,7 @@ def triangle_angle(ax, ay, az, bx, by, bz, cx, cy, cz):
     return 2.0 * math.atan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
 
 
-@kernel(fast=False)
+@leaf(fast=False)
 def _angle_between(ax, ay, az, bx, by, bz):
     """Angle of two unit vectors, exact for nearly parallel ones (Kahan)."""
     if ax * bx + ay * by + az * bz < 0.0:
@@ -74,7 +74,7 @@ def _angle_between(ax, ay, az, bx, by, bz):
     return 2.0 * math.asin(min(1.0, 0.5 * math.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2)))
 
 
-@kernel(fast=False)
+@leaf(fast=False)
 def sample_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, u1, u2):
     """Direction uniform in the solid angle of the triangle abc seen from the origin.
 

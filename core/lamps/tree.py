@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import inlined, leaf
 from .tables import AXIS, COS_E, COS_O, ENERGY, LOWER, UPPER
 
 CUT = 32  # nodes of a point's cut through the tree
@@ -31,7 +31,7 @@ def _cos_less(cos_a, cos_b):
     return cos_a * cos_b + sines
 
 
-@kernel
+@leaf
 def importance(nodes, two_sided, node, px, py, pz, nx, ny, nz):
     """Estimate of the irradiance (mean of the channels) that a node can send to p with normal n; 0 if it cannot."""
     lx, ly, lz = nodes[node, LOWER], nodes[node, LOWER + 1], nodes[node, LOWER + 2]
@@ -56,7 +56,7 @@ def importance(nodes, two_sided, node, px, py, pz, nx, ny, nz):
     return nodes[node, ENERGY] * cos_i * max(cosine, np.float32(1e-3)) / d2
 
 
-@kernel
+@leaf
 def cut_for(nodes, two_sided, children, root, px, py, pz, nx, ny, nz, members, cdf):
     """A cut through the tree for one point, finer where more light comes from -> (number of nodes, sum).
 
@@ -88,7 +88,7 @@ def cut_for(nodes, two_sided, children, root, px, py, pz, nx, ny, nz, members, c
     return size, total
 
 
-@kernel
+@leaf
 def descend(nodes, two_sided, children, root, px, py, pz, nx, ny, nz, u):
     """An emitter below a node for p with normal n -> (emitter or -1, its probability); u in [0, 1)."""
     n = nodes.shape[0] - children.shape[0]
@@ -113,7 +113,7 @@ def descend(nodes, two_sided, children, root, px, py, pz, nx, ny, nz, u):
     return node, probability
 
 
-@kernel
+@leaf
 def choose(nodes, two_sided, children, px, py, pz, nx, ny, nz, members, cdf, size, u, pick):
     """An emitter of the tree for p with normal n -> (emitter or -1, 1 / probability).
 
@@ -156,7 +156,7 @@ def choose(nodes, two_sided, children, px, py, pz, nx, ny, nz, members, cdf, siz
     return kept, weight_sum / (np.float32(CANDIDATES) * kept_importance)
 
 
-@kernel
+@leaf
 def cut_estimate(nodes, two_sided, cut, px, py, pz, nx, ny, nz):
     """Estimate of the irradiance that the whole tree can send, from a cut through it; 0 if it cannot."""
     total = _0

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import inlined, leaf
 from ..sampling.discrete import cumulative, sample_cdf
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import CAMERA, World
@@ -132,7 +132,7 @@ def _pixel_density(world, y, x, height, width):
     return p * np.float32(width) / (_2PI * (_row_edge(y, height) - _row_edge(y + 1, height)))
 
 
-@kernel
+@leaf
 def world_density(world, nx, ny, nz, dx, dy, dz):
     """Density (per sr) with which `sample_world` gives the direction d on a surface with normal n."""
     cosine = max(_0, dx * nx + dy * ny + dz * nz)
@@ -143,7 +143,7 @@ def world_density(world, nx, ny, nz, dx, dy, dz):
     return _HALF * (cosine * _1_PI + _pixel_density(world, y, x, height, width))
 
 
-@kernel
+@leaf
 def sample_world(world, nx, ny, nz, u1, u2):
     """Direction for direct light on a surface with normal n -> (d, radiance / density): six float32."""
     if not world.varies:
@@ -166,7 +166,7 @@ def sample_world(world, nx, ny, nz, u1, u2):
     return dx, dy, dz, world.radiance[y, x, 0] * w, world.radiance[y, x, 1] * w, world.radiance[y, x, 2] * w
 
 
-@kernel
+@leaf
 def emit_world(world, u1, u2):
     """Direction towards the world for a particle -> (d, radiance / density): six float32."""
     dx, dy, dz, y, x, density = _sample_pixel(world.emission_rows, world.emission_columns, u1, u2)

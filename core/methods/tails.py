@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import kernel, leaf
 from ..lamps.direct import direct_irradiance_at
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
@@ -33,7 +33,7 @@ _1 = np.float32(1.0)
 DIMENSIONS = 100
 
 
-@kernel
+@leaf
 def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach, kinds, seed, path, dimension):
     """The nearest surface along a ray that does not let it through, its material evaluated into `surface`.
 
@@ -59,7 +59,7 @@ def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach,
     return -1, _0, _0, reach, _0, _0, _0
 
 
-@kernel
+@leaf
 def path_irradiance(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, bounces, seed, path):
     """One sample of the irradiance at a point: direct light, and light over up to `bounces` - 1 more surfaces.
 

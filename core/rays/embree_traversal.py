@@ -10,7 +10,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from ..jit import inlined, kernel
+from ..jit import inlined, kernel, leaf
 from . import packet as pk
 from .memory import copy4, copy8, read_float, read_int, write_float, write_int
 from .trace import COHERENT, CUTOUT, OPAQUE
@@ -63,7 +63,7 @@ _trace_in_eights, _trace_in_fours = _in_parts(8, copy8), _in_parts(4, copy4)
 
 
 # The functions below take addresses only: arrays in their arguments would cost atomic reference counts per call.
-@kernel
+@leaf
 def _trace(function, width, scene, packet, arguments, last_row):
     if scene == 0:
         return
@@ -75,7 +75,7 @@ def _trace(function, width, scene, packet, arguments, last_row):
         _trace_in_fours(function, scene, packet, arguments, last_row)
 
 
-@kernel
+@leaf
 def _occluded_at(function, width, opaque, cutout, packet, arguments, count):
     for lane in range(pk.WIDTH):
         write_int(packet, pk.VALID * pk.WIDTH + lane, -1 if lane < count else 0)
@@ -84,7 +84,7 @@ def _occluded_at(function, width, opaque, cutout, packet, arguments, count):
     _trace(function, width, cutout, packet, arguments, pk.T_FAR)
 
 
-@kernel
+@leaf
 def _intersect_at(function, width, opaque, cutout, packet, arguments, count, first, triangle):
     for lane in range(pk.WIDTH):
         write_int(packet, pk.VALID * pk.WIDTH + lane, -1 if lane < count else 0)
@@ -122,7 +122,7 @@ def intersect_packet(tables, which, packet, count):
     _intersect_at(tables.intersect, tables.width, opaque, cutout, packet.address, arguments, count, tables.first, tables.triangle)
 
 
-@kernel
+@leaf
 def _single(function, opaque, cutout, ray, ox, oy, oz, dx, dy, dz, tnear, tfar, mask):
     """Write an RTCRayHit of one ray at address `ray` and trace it."""
     write_float(ray, 0, ox)
@@ -155,7 +155,7 @@ def occluded1(tables, which, packet, ox, oy, oz, dx, dy, dz, tnear, tfar, mask):
     return read_float(ray, pk.T_FAR) == pk.OCCLUDED
 
 
-@kernel
+@leaf
 def _single_triangle(ray, first, triangle):
     geometry = read_int(ray, pk.GEOMETRY)
     return np.int32(-1) if geometry < 0 else read_int(triangle, read_int(first, geometry) + read_int(ray, pk.PRIMITIVE))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import inlined, leaf
 
 UNIT_ROUNDOFF = 2.0**-24
 # Distance from the plane at which Embree and the BVH were seen to hit a triangle from its own surface: up to
@@ -29,7 +29,7 @@ _EDGE_MARGIN = 2.0
 _LARGEST_MARGIN = 0.02
 
 
-@kernel
+@leaf
 def hit_point(vertices, triangles, triangle, u, v):
     """The point of weights u, v (corners 1, 2) -> (x, y, z, nx, ny, nz, error).
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined_leaf, leaf
+from ..jit import inlined, leaf
 
 F = np.float32
 
@@ -49,25 +49,25 @@ _V_NORMALIZE = _V["NORMALIZE"]
 _AS_SCALAR = np.array([_S.get({"FRACTION": "FRACT"}.get(k, k), -1) for k in VECTOR_KINDS], np.int32)
 
 
-@inlined_leaf
+@inlined
 def safe_divide(a, b):
     """a / b, 0 where b is 0."""
     return a / b if b != F(0) else F(0)
 
 
-@inlined_leaf
+@inlined
 def sign(x):
     """-1, 0 or 1."""
     return F(0) if x == F(0) else F(-1) if x < F(0) else F(1)
 
 
-@inlined_leaf
+@inlined
 def fraction(x):
     """x - floor(x)."""
     return x - np.floor(x)
 
 
-@inlined_leaf
+@inlined
 def _smooth_minimum(a, b, k):
     if k == F(0):
         return min(a, b)
@@ -169,7 +169,7 @@ def scalar_math(kind, a, b, c):
     return a * F(180 / np.pi)
 
 
-@inlined_leaf
+@inlined
 def normalized(x, y, z):
     """The unit vector; zeros stay zeros."""
     length = np.sqrt(x * x + y * y + z * z)

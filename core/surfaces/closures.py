@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined_leaf
+from ..jit import inlined
 from . import ggx
 from .layout import (
     DIFFUSE,
@@ -32,7 +32,7 @@ F = np.float32
 REFLECTED = F(4)
 
 
-@inlined_leaf
+@inlined
 def add(surface, at, wr, wg, wb, r, g, b):
     """Adds weight times colour to the three floats at `at`; colours are clamped below at 0."""
     surface[at] += wr * max(r, F(0))
@@ -40,7 +40,7 @@ def add(surface, at, wr, wg, wb, r, g, b):
     surface[at + 2] += wb * max(b, F(0))
 
 
-@inlined_leaf
+@inlined
 def _add_glossy(surface, wr, wg, wb, r0, g0, b0, r90, g90, b90, roughness):
     """Adds a glossy lobe by its albedos at normal and grazing incidence."""
     surface[GLOSSY_F0] += wr * r0
@@ -52,14 +52,14 @@ def _add_glossy(surface, wr, wg, wb, r0, g0, b0, r90, g90, b90, roughness):
     surface[ROUGHNESS] += roughness * (wr * (r0 + r90) + wg * (g0 + g90) + wb * (b0 + b90))
 
 
-@inlined_leaf
+@inlined
 def f0_of_ior(ior):
     """Reflectance at normal incidence."""
     x = (ior - F(1)) / (ior + F(1))
     return x * x
 
 
-@inlined_leaf
+@inlined
 def _darkening(mean_fresnel, roughness, multiple):
     """Mean factor by which scattering more than once darkens a lobe; where it is not modelled, that light is lost."""
     e = ggx.single_scattering_mean(roughness)
@@ -68,7 +68,7 @@ def _darkening(mean_fresnel, roughness, multiple):
     return e + ggx.multiple_scattering(mean_fresnel, roughness) * (F(1) - e)
 
 
-@inlined_leaf
+@inlined
 def dielectric_over_diffuse(surface, r, g, b, roughness, ior, level, multiple, tr, tg, tb, wr, wg, wb):
     """Principled BSDF below coat, metal and transmission: a dielectric lobe over a diffuse base.
 
@@ -112,7 +112,7 @@ def dielectric_over_diffuse(surface, r, g, b, roughness, ior, level, multiple, t
     _add_glossy(surface, wr * d, wg * d, wb * d, f0r, f0g, f0b, F(1), F(1), F(1), roughness)
 
 
-@inlined_leaf
+@inlined
 def metal(surface, r, g, b, roughness, multiple, tr, tg, tb, wr, wg, wb):
     """Conductor with reflectance (r, g, b) at normal incidence and the tint (tr, tg, tb) at 82 degrees (F82)."""
     roughness = min(max(roughness, F(0)), F(1))
@@ -123,7 +123,7 @@ def metal(surface, r, g, b, roughness, multiple, tr, tg, tb, wr, wg, wb):
     _add_glossy(surface, wr, wg, wb, r, g, b, F(1), F(1), F(1), roughness)
 
 
-@inlined_leaf
+@inlined
 def _f82_mean(f0, tint):
     """Cosine-weighted mean of the F82 Fresnel term."""
     f6 = F((6 / 7) ** 6)
@@ -132,7 +132,7 @@ def _f82_mean(f0, tint):
     return min(max(f0 + (F(1) - f0) * F(1 / 21) - edge * F(1 / 126), F(0)), F(1))
 
 
-@inlined_leaf
+@inlined
 def glossy(surface, r, g, b, roughness, multiple, wr, wg, wb):
     """Glossy BSDF: the same reflectance at every angle."""
     roughness = min(max(roughness, F(0)), F(1))
@@ -143,7 +143,7 @@ def glossy(surface, r, g, b, roughness, multiple, wr, wg, wb):
     _add_glossy(surface, wr, wg, wb, r, g, b, r, g, b, roughness)
 
 
-@inlined_leaf
+@inlined
 def glass(surface, r, g, b, roughness, ior, tr, tg, tb, wr, wg, wb):
     """Glass: reflects its mean Fresnel term times (tr, tg, tb), lets the rest times (r, g, b) straight through."""
     roughness = min(max(roughness, F(0)), F(1))
@@ -158,7 +158,7 @@ def glass(surface, r, g, b, roughness, ior, tr, tg, tb, wr, wg, wb):
         _add_glossy(surface, wr, wg, wb, f0 * tr, f0 * tg, f0 * tb, tr, tg, tb, roughness)
 
 
-@inlined_leaf
+@inlined
 def sheen(surface, strength, roughness, tr, tg, tb, wr, wg, wb, cosine):
     """Principled BSDF's sheen: adds its lobe, which counts as diffuse, and returns the weight of what lies below."""
     albedo = max(strength, F(0)) * sheen_albedo(view_cosine(cosine), min(max(roughness, F(1e-3)), F(1)))
@@ -168,7 +168,7 @@ def sheen(surface, strength, roughness, tr, tg, tb, wr, wg, wb, cosine):
     return wr * below, wg * below, wb * below
 
 
-@inlined_leaf
+@inlined
 def sheen_albedo(cosine, roughness):
     """Albedo of the microfibre sheen lobe (Zeltner, Burley and Chiang 2022).
 
@@ -182,7 +182,7 @@ def sheen_albedo(cosine, roughness):
     return min(max(np.exp(F(-0.5) * t * t) / (s * F(2.5066283)) + o, F(0)), F(1))
 
 
-@inlined_leaf
+@inlined
 def coat(surface, strength, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
     """Principled BSDF's coat: adds its lobe and returns the weight of what lies below.
 
@@ -212,14 +212,14 @@ def coat(surface, strength, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
     return wr, wg, wb
 
 
-@inlined_leaf
+@inlined
 def view_cosine(cosine):
     """|cosine| of the view, of `program.evaluate`'s argument; the cosine-weighted mean 2/3 for the mean over the views."""
     c = abs(cosine)
     return c if c <= F(1) else c - REFLECTED if c >= REFLECTED else F(2 / 3)
 
 
-@inlined_leaf
+@inlined
 def dielectric_fresnel(cosine, ior):
     """Dielectric Fresnel term at the view, from inside (1 / ior) where the back is seen."""
     ior = max(ior, F(1e-5))
@@ -235,7 +235,7 @@ def dielectric_fresnel(cosine, ior):
     return F(0.5) * a * a * (F(1) + b * b)
 
 
-@inlined_leaf
+@inlined
 def finish(surface):
     """Turns the weighted sums into means."""
     covered = surface[LAYERED] + surface[LAYERED + 1] + surface[LAYERED + 2]

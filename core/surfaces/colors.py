@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined_leaf, leaf
+from ..jit import inlined, leaf
 
 F = np.float32
 
@@ -23,7 +23,7 @@ BLEND = {name: i for i, name in enumerate(BLEND_KINDS)}
 RGB_TO_HSV, HSV_TO_RGB, RGB_TO_HSL, HSL_TO_RGB = range(4)
 
 
-@inlined_leaf
+@inlined
 def luminance(r, g, b):
     """Rec. 709 luminance, as Cycles reads a colour where a number is wanted."""
     return F(0.2126) * r + F(0.7152) * g + F(0.0722) * b
@@ -70,7 +70,7 @@ def hsv_to_rgb(h, s, v):
     return v, p, q
 
 
-@inlined_leaf
+@inlined
 def _rgb_to_hsl(r, g, b):
     high, low = max(r, max(g, b)), min(r, min(g, b))
     lightness = min(F(1), (high + low) / F(2))
@@ -87,12 +87,12 @@ def _rgb_to_hsl(r, g, b):
     return h / F(6), s, lightness
 
 
-@inlined_leaf
+@inlined
 def _unit(x):
     return min(max(x, F(0)), F(1))
 
 
-@inlined_leaf
+@inlined
 def _hsl_to_rgb(h, s, lightness):
     chroma = (F(1) - abs(F(2) * lightness - F(1))) * s
     r, g, b = _unit(abs(h * F(6) - F(3)) - F(1)), _unit(F(2) - abs(h * F(6) - F(2))), _unit(F(2) - abs(h * F(6) - F(4)))
@@ -111,7 +111,7 @@ def convert(kind, x, y, z):
     return _hsl_to_rgb(x, y, z)
 
 
-@inlined_leaf
+@inlined
 def _blend_channel(kind, t, a, b):
     """The blending modes that treat each channel alone."""
     if kind == _MIX:
@@ -171,7 +171,7 @@ def blend(kind, t, ar, ag, ab, br, bg, bb):
     return ar + t * (r - ar), ag + t * (g - ag), ab + t * (b - ab)
 
 
-@inlined_leaf
+@inlined
 def gamma(x, exponent):
     """The Gamma node on one channel."""
     if exponent == F(0):
@@ -179,7 +179,7 @@ def gamma(x, exponent):
     return x**exponent if x > F(0) else x
 
 
-@inlined_leaf
+@inlined
 def lookup(table, channel, x, interpolate, extrapolate):
     """Column `channel` of a table of equidistant rows, at x in 0..1 (Cycles: rgb_ramp_lookup)."""
     size = table.shape[0]

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined_leaf
+from ..jit import inlined
 
 _S = 16  # nodes per axis of s: z (index of refraction), cosine, roughness
 _E = 32  # nodes per axis of E: cosine, roughness
@@ -131,7 +131,7 @@ E_TABLE = _table_e()
 E_MEAN, S_MEAN, SE_MEAN = _means(S_TABLE, E_TABLE)
 
 
-@inlined_leaf
+@inlined
 def _cell(x, size):
     """Index and fraction of a table coordinate in 0..1."""
     x = min(max(x, F(0)), F(1)) * F(size - 1)
@@ -139,14 +139,14 @@ def _cell(x, size):
     return i, x - F(i)
 
 
-@inlined_leaf
+@inlined
 def _lerp2(table, i, t, j, r):
     a = table[i, j] + r * (table[i, j + 1] - table[i, j])
     b = table[i + 1, j] + r * (table[i + 1, j + 1] - table[i + 1, j])
     return a + t * (b - a)
 
 
-@inlined_leaf
+@inlined
 def fresnel_rise(z, cosine, roughness):
     """s: how far from f0 to 1 the lobe's Fresnel term is at `cosine`; z as in `ior_coordinate`."""
     k, c = _cell(z, _S)
@@ -157,7 +157,7 @@ def fresnel_rise(z, cosine, roughness):
     return a + c * (b - a)
 
 
-@inlined_leaf
+@inlined
 def single_scattering(cosine, roughness):
     """E: albedo of the lobe without Fresnel term at `cosine`."""
     i, t = _cell(cosine, _E)
@@ -165,14 +165,14 @@ def single_scattering(cosine, roughness):
     return _lerp2(E_TABLE, i, t, j, r)
 
 
-@inlined_leaf
+@inlined
 def single_scattering_mean(roughness):
     """Mean of E over the cosine-weighted hemisphere."""
     j, r = _cell(roughness, _E)
     return E_MEAN[j] + r * (E_MEAN[j + 1] - E_MEAN[j])
 
 
-@inlined_leaf
+@inlined
 def layer_albedo(f0, z, roughness, multiple, cosine):
     """L(mu) of the module's head; `multiple` is Fms (1 where the lobe keeps no multiple scattering)."""
     s = fresnel_rise(z, cosine, roughness)
@@ -180,7 +180,7 @@ def layer_albedo(f0, z, roughness, multiple, cosine):
     return (f0 + (F(1) - f0) * s) * (e + multiple * (F(1) - e))
 
 
-@inlined_leaf
+@inlined
 def layer_albedo_mean(f0, z, roughness, multiple):
     """Mean of `layer_albedo` over the cosine-weighted hemisphere."""
     k, c = _cell(z, _S)
@@ -191,14 +191,14 @@ def layer_albedo_mean(f0, z, roughness, multiple):
     return f0 * (e + multiple * (F(1) - e)) + (F(1) - f0) * (multiple * s + (F(1) - multiple) * se)
 
 
-@inlined_leaf
+@inlined
 def multiple_scattering(mean_fresnel, roughness):
     """Fms of a lobe whose Fresnel term has the mean `mean_fresnel` over the hemisphere."""
     e = single_scattering_mean(roughness)
     return mean_fresnel * e / (F(1) - mean_fresnel * (F(1) - e))
 
 
-@inlined_leaf
+@inlined
 def dielectric_mean_fresnel(ior):
     """Cosine-weighted mean of the dielectric Fresnel term (fit by Kulla and Conty 2017)."""
     if ior < F(1):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined_leaf
+from ..jit import inlined
 from . import ggx
 
 F = np.float32
@@ -34,7 +34,7 @@ SURFACE = 26  # length
 _GLOSSY_Z = F(0.2**0.5)
 
 
-@inlined_leaf
+@inlined
 def diffuse_albedo(surface, cosine):
     """Diffuse albedo (r, g, b) for a view at `cosine` (0..1): what Cycles' Diffuse Color pass holds."""
     share = ggx.layer_albedo(surface[LAYER_F0], surface[LAYER_Z], surface[LAYER_ROUGHNESS], surface[LAYER_MULTIPLE], cosine)
@@ -46,7 +46,7 @@ def diffuse_albedo(surface, cosine):
     )
 
 
-@inlined_leaf
+@inlined
 def diffuse_albedo_average(surface):
     """Diffuse albedo (r, g, b), the mean of `diffuse_albedo` over the cosine-weighted hemisphere."""
     share = ggx.layer_albedo_mean(surface[LAYER_F0], surface[LAYER_Z], surface[LAYER_ROUGHNESS], surface[LAYER_MULTIPLE])
@@ -58,7 +58,7 @@ def diffuse_albedo_average(surface):
     )
 
 
-@inlined_leaf
+@inlined
 def glossy_albedo(surface, cosine):
     """Glossy albedo (r, g, b) for a view at `cosine`."""
     s = ggx.fresnel_rise(_GLOSSY_Z, cosine, surface[ROUGHNESS])
@@ -69,7 +69,7 @@ def glossy_albedo(surface, cosine):
     )
 
 
-@inlined_leaf
+@inlined
 def glossy_albedo_average(surface):
     """Glossy albedo (r, g, b), the mean of `glossy_albedo` over the cosine-weighted hemisphere."""
     s = ggx.layer_albedo_mean(F(0), _GLOSSY_Z, surface[ROUGHNESS], F(1))
@@ -80,7 +80,7 @@ def glossy_albedo_average(surface):
     )
 
 
-@inlined_leaf
+@inlined
 def total_albedo_average(surface):
     """Share of light (r, g, b) that leaves again, diffuse and glossy together, at most 1 per channel.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined_leaf, leaf
+from ..jit import inlined, leaf
 from .hashing import float1, float2, hash1, hash2, hash3, hash4
 
 F = np.float32
@@ -14,30 +14,30 @@ FRACTAL_KINDS = ("MULTIFRACTAL", "FBM", "HYBRID_MULTIFRACTAL", "RIDGED_MULTIFRAC
 MULTIFRACTAL, FBM, HYBRID, RIDGED, HETERO = range(5)
 
 
-@inlined_leaf
+@inlined
 def _fade(t):
     return t * t * t * (t * (t * F(6) - F(15)) + F(10))
 
 
-@inlined_leaf
+@inlined
 def _signed(x, bit):
     return -x if bit else x
 
 
-@inlined_leaf
+@inlined
 def _gradient1(h, x):
     g = F(1) + F(h & 7)
     return _signed(g, h & 8) * x
 
 
-@inlined_leaf
+@inlined
 def _gradient2(h, x, y):
     h = h & 7
     u, v = (x, F(2) * y) if h < 4 else (y, F(2) * x)
     return _signed(u, h & 1) + _signed(v, h & 2)
 
 
-@inlined_leaf
+@inlined
 def _gradient3(h, x, y, z):
     h = h & 15
     u = x if h < 8 else y
@@ -45,7 +45,7 @@ def _gradient3(h, x, y, z):
     return _signed(u, h & 1) + _signed(v, h & 2)
 
 
-@inlined_leaf
+@inlined
 def _gradient4(h, x, y, z, w):
     h = h & 31
     u = x if h < 24 else y
@@ -54,7 +54,7 @@ def _gradient4(h, x, y, z, w):
     return _signed(u, h & 1) + _signed(v, h & 2) + _signed(s, h & 4)
 
 
-@inlined_leaf
+@inlined
 def _cell(x):
     """Cell and place in it; noise repeats every 100000 so that floats can tell places apart (Cycles: snoise)."""
     far = abs(x) >= F(1e6)
@@ -65,7 +65,7 @@ def _cell(x):
     return np.int32(f), x - f
 
 
-@inlined_leaf
+@inlined
 def _mix(a, b, t):
     return a + t * (b - a)
 
@@ -145,7 +145,7 @@ def fractal(kind, normalize, dimensions, x, y, z, w, detail, roughness, lacunari
     return F(0.5) * value / most + F(0.5) if kind == FBM and normalize else value
 
 
-@inlined_leaf
+@inlined
 def _shift(dimensions, seed, axis):
     """Offset of one axis that makes a channel's noise its own."""
     if dimensions == 1:

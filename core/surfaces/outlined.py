@@ -15,7 +15,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from ..jit import c_function, inlined_leaf
+from ..jit import c_function, inlined
 from . import arithmetic, colors, noise, procedural, textures
 
 F = np.float32
@@ -141,7 +141,7 @@ def _call(typingctx, address, op, p, a, b, c, result):
     return types.void(types.uint64, types.int64, types.int64, *[types.uint64] * 4), codegen
 
 
-@inlined_leaf
+@inlined
 def call(functions, op, p, rows, a, b, c, result):
     """Runs one outlined operation on rows a, b, c of `rows` into row `result`."""
     base = np.uint64(rows.ctypes.data)

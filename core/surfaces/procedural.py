@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined_leaf, leaf
+from ..jit import inlined, leaf
 from .hashing import float1, float2, float3, float4
 from .noise import FBM, fractal
 
@@ -15,18 +15,18 @@ GRADIENT_KINDS = ("LINEAR", "QUADRATIC", "EASING", "DIAGONAL", "RADIAL", "QUADRA
 _LINEAR, _QUADRATIC, _EASING, _DIAGONAL, _RADIAL, _QUADRATIC_SPHERE, _SPHERICAL = range(7)
 
 
-@inlined_leaf
+@inlined
 def _unit(x):
     return min(max(x, F(0)), F(1))
 
 
-@inlined_leaf
+@inlined
 def _nudged(x):
     """Off the integers, where rounding would decide between neighbours."""
     return (x + F(0.000001)) * F(0.999999)
 
 
-@inlined_leaf
+@inlined
 def checker(x, y, z):
     """1 in the odd cells, 0 in the even ones."""
     i, j, k = np.int32(np.floor(_nudged(x))), np.int32(np.floor(_nudged(y))), np.int32(np.floor(_nudged(z)))
@@ -141,7 +141,7 @@ def magic(depth, x, y, z, scale, distortion):
     return F(0.5) - x, F(0.5) - y, F(0.5) - z
 
 
-@inlined_leaf
+@inlined
 def _brick_tint(n):
     n = (n + np.int64(1013)) & np.int64(0x7FFFFFFF)
     n = (n >> 13) ^ n

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined_leaf, kernel, leaf
+from ..jit import inlined, kernel, leaf
 from ..scene import CONSTANT, MaterialTables
 from . import closures, outlined, textures
 from .colors import luminance
@@ -82,13 +82,13 @@ def _box(tables, texture, x, y, z, nx, ny, nz, mix):
     return r, g, b, a
 
 
-@inlined_leaf
+@inlined
 def reflected_view(cosine):
     """What `evaluate` takes for a view that is not the camera's: materials may show it something else."""
     return cosine - closures.REFLECTED if cosine < F(0) else cosine + closures.REFLECTED
 
 
-@inlined_leaf
+@inlined
 def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface):
     """Writes the surface of `material` at a point of a triangle into `surface`, (SURFACE,) float32.
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..jit import inlined_leaf, leaf
+from ..jit import inlined, leaf
 
 F = np.float32
 
@@ -79,7 +79,7 @@ class TexturePool:
         return headers, texels_u8, texels_f32
 
 
-@inlined_leaf
+@inlined
 def _srgb_to_linear(x):
     if not (x < F(1)):
         return ((x + F(0.055)) / F(1.055)) ** F(2.4)
@@ -90,7 +90,7 @@ def _srgb_to_linear(x):
     return SRGB_TABLE[i] + (t - F(i)) * (SRGB_TABLE[i + 1] - SRGB_TABLE[i])
 
 
-@inlined_leaf
+@inlined
 def _wrap(i, size, extension):
     """Texel index for any integer; -1 is outside (CLIP)."""
     if extension == REPEAT:
@@ -104,7 +104,7 @@ def _wrap(i, size, extension):
     return i if 0 <= i < size else -1
 
 
-@inlined_leaf
+@inlined
 def _add_texel(header, texels_u8, texels_f32, x, y, weight, r, g, b, a):
     """(r, g, b, a) plus the weighted texel."""
     if x < 0 or y < 0:
@@ -137,7 +137,7 @@ def _add_texel(header, texels_u8, texels_f32, x, y, weight, r, g, b, a):
     return r + value, g + value, b + value, a + weight
 
 
-@inlined_leaf
+@inlined
 def _cubic_weight(k, t):
     """Weight of tap k (0..3) of the uniform cubic B-spline at fraction t."""
     if k == 0:
@@ -188,7 +188,7 @@ def sample(texture_header, texels_u8, texels_f32, texture, u, v):
     return r, g, b, a
 
 
-@inlined_leaf
+@inlined
 def to_sphere(x, y, z):
     """Image coordinates of a point of the unit cube, projected from its centre on a sphere."""
     x, y, z = F(2) * x - F(1), F(2) * y - F(1), F(2) * z - F(1)
@@ -199,7 +199,7 @@ def to_sphere(x, y, z):
     return u, F(1) - np.arccos(min(max(z / length, F(-1)), F(1))) * F(1 / np.pi)
 
 
-@inlined_leaf
+@inlined
 def to_tube(x, y, z):
     """Image coordinates of a point of the unit cube, projected from its z axis on a tube."""
     x, y = F(2) * x - F(1), F(2) * y - F(1)
@@ -208,7 +208,7 @@ def to_tube(x, y, z):
     return (F(1) - np.arctan2(x, y) * F(1 / np.pi)) * F(0.5), z
 
 
-@inlined_leaf
+@inlined
 def box_weights(x, y, z, mix):
     """Shares of the three sides for the absolute normal (x, y, z) and the blend `mix` (Cycles: svm_node_tex_image_box)."""
     total = x + y + z
@@ -236,12 +236,12 @@ def box_weights(x, y, z, mix):
     return a * x + b, a * y + b, a * z + b
 
 
-@inlined_leaf
+@inlined
 def _box_share(first, second, mix):
     return min(max((first / (first + second) - F(0.5) * (F(1) - mix)) / mix, F(0)), F(1))
 
 
-@inlined_leaf
+@inlined
 def box_side(side, x, y, z, nx, ny, nz):
     """Image coordinates on side 0, 1, 2 (x, y, z) of the box; none is mirrored."""
     if side == 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import kernel, leaf
 from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_FAR, T_NEAR, WIDTH
 from ..rays.trace import COHERENT, CUTOUT, OPAQUE, intersect1, occluded_packet
 from .layout import TRANSPARENCY
@@ -15,7 +15,7 @@ _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
 
-@kernel
+@leaf
 def transmittance1(rays, materials, material, attributes, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near, t_far, kinds):
     """Transmittance (r, g, b) of the transparent triangles along one segment.
 
