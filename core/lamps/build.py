@@ -38,6 +38,7 @@ from .tables import (
     UPPER,
     WORLD,
     Emitters,
+    LampTables,
 )  # fmt: skip
 from .tree_build import COLUMNS, TWO_SIDED, light_tree
 from .world import no_world, projected_box_area, world_table
@@ -168,6 +169,12 @@ def _mesh(scene: Scene, ray_kind: int, threads: int):
     table[:, CORNERS : CORNERS + 9], table[:, NORMAL : NORMAL + 3], table[:, AREA_M2] = corners.reshape(-1, 9), normal, area
     flags = CASTS_SHADOW + TEXTURED * textured + SEEN_BY_GLOSSY * ((g.object_visibility[g.object[triangle]] & GLOSSY) > 0)
     return triangle, material, flags, radiance, radiance * (2 * np.pi * area)[:, None], bounds, table
+
+
+def lamp_tables(scene: Scene, ray_kind: int) -> LampTables:
+    """The analytic lamps that shine and are visible to rays of `ray_kind`."""
+    _, kind, flags, radiance, _, _, lamps = _lamps(scene, ray_kind, np.zeros((2, 3), np.float32))
+    return LampTables(kind.astype(np.int32), flags.astype(np.int32), radiance.astype(np.float32), lamps)
 
 
 def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0) -> Emitters:

@@ -67,6 +67,15 @@ class LightTree(NamedTuple):
     root: int
 
 
+class LampTables(NamedTuple):
+    """Analytic lamps alone; the fields are those of `Emitters`."""
+
+    kind: np.ndarray
+    flags: np.ndarray
+    radiance: np.ndarray
+    lamps: np.ndarray
+
+
 class Emitters(NamedTuple):
     """All E emitters of a scene (for one kind of receiving ray), ready for kernels.
 

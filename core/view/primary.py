@@ -25,6 +25,7 @@ from ..surfaces.normals import shading_normal
 from ..surfaces.program import evaluate, new_registers
 from ..threads import Progress, run_chunks
 from .camera import camera_ray, camera_tables, pixel_sample
+from .lamps import lamps_between, lamps_in_tile, visible_lamps
 from .points import ShadingPoints
 
 TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample index
@@ -41,7 +42,7 @@ _1 = np.float32(1.0)
 
 @dataclass
 class View:
-    """What the camera sees of a scene, before any light but the surfaces' own.
+    """What the camera sees of a scene, before any light but that of surfaces, lamps and world themselves.
 
     albedo, emission: (H, W, 3);  normal, position: (H, W, 3);  depth: (H, W); all float32.
     points: the shading points, whose `pixel` counts row-major over H x W.  rays: primary rays traced.
@@ -75,11 +76,35 @@ def _same_surface(px, py, pz, nx, ny, nz, qx, qy, qz, mx, my, mz, width):
 
 @kernel
 def _trace_tile(
-    rays, camera, materials, material, attributes, tx, ty, samples, seed, packet, rows, surface, hits, weight, direction, depth
+    rays,
+    camera,
+    materials,
+    material,
+    attributes,
+    lamps,
+    tx,
+    ty,
+    samples,
+    seed,
+    packet,
+    rows,
+    surface,
+    hits,
+    weight,
+    direction,
+    depth,
+    shine,
 ):
-    """Trace the samples of one tile. hits: (16, P, 3) float32 bits of triangle, u, v; the number of rays comes back."""
+    """Trace the samples of one tile. hits: (16, P, 3) float32 bits of triangle, u, v; the number of rays comes back.
+
+    shine: (16, 3) float32, the sum over a pixel's samples of the lamps' light in front of the surfaces.
+    """
     x1, y1 = camera.border[2], camera.border[3]
     origin = np.empty((WIDTH, 3), np.float32)
+    passed = np.empty(WIDTH, np.float32)
+    near_lamps = np.empty(len(lamps.kind), np.int32)
+    n_lamps = lamps_in_tile(lamps, camera, tx, ty, tx + TILE, ty + TILE, near_lamps)
+    shine[:] = np.float32(0.0)
     count = 0
     triangles = hits.view(np.int32)
     for s in range(samples):
@@ -98,6 +123,7 @@ def _trace_tile(
             direction[lane, s, 0], direction[lane, s, 1], direction[lane, s, 2] = dx, dy, dz
             weight[lane, s, 0] = weight[lane, s, 1] = weight[lane, s, 2] = np.float32(1.0)
             depth[lane, s] = WORLD_DEPTH
+            passed[lane] = np.float32(0.0)
             count += 1
         layer = 0
         active = True
@@ -108,6 +134,15 @@ def _trace_tile(
                 triangle = hit_triangle(packet, lane)
                 if packet.f[T_FAR * WIDTH + lane] < 0:  # done already
                     continue
+                if n_lamps > 0:
+                    end = hit_t(packet, lane) if triangle >= 0 else np.float32(np.inf)
+                    r, g, b = lamps_between(
+                        lamps, near_lamps, n_lamps, origin[lane, 0], origin[lane, 1], origin[lane, 2],
+                        direction[lane, s, 0], direction[lane, s, 1], direction[lane, s, 2], passed[lane], end,
+                    )  # fmt: skip
+                    shine[lane, 0] += weight[lane, s, 0] * r
+                    shine[lane, 1] += weight[lane, s, 1] * g
+                    shine[lane, 2] += weight[lane, s, 2] * b
                 if triangle < 0:
                     disable_ray(packet, lane)
                     continue
@@ -127,9 +162,14 @@ def _trace_tile(
                         start = t + np.float32(4e-6) * (t + camera.clip[0])
                         far = (camera.clip[1] - camera.clip[0]) / axial
                         set_ray(packet, lane, origin[lane, 0], origin[lane, 1], origin[lane, 2], dx, dy, dz, start, far, CAMERA)
+                        passed[lane] = t
                         count += 1
                         active = True
                         continue
+                    rest = _1 / (_1 - chance)  # what the surface keeps is already without what it lets through
+                    weight[lane, s, 0] *= rest
+                    weight[lane, s, 1] *= rest
+                    weight[lane, s, 2] *= rest
                 triangles[lane, s, 0] = triangle
                 hits[lane, s, 1], hits[lane, s, 2] = u, v
                 depth[lane, s] = camera.clip[0] + t * axial
@@ -139,7 +179,7 @@ def _trace_tile(
 
 
 @kernel
-def _view_tiles(rays, camera, materials, geometry, world, begin, end, samples, seed, points, layers):
+def _view_tiles(rays, camera, materials, geometry, lamps, world, begin, end, samples, seed, points, layers):
     """Trace, evaluate and group the samples of the tiles begin..end-1.
 
     geometry: (vertices, triangles, corner_normals, attributes, material, object).  points: room for all that
@@ -159,6 +199,7 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, samples, s
     weight = np.empty((WIDTH, samples, 3), np.float32)
     direction = np.empty((WIDTH, samples, 3), np.float32)
     depth = np.empty((WIDTH, samples), np.float32)
+    shine = np.empty((WIDTH, 3), np.float32)
     # Of each sample: position, error, ng, ns.  Of each group: first sample; count and sums.
     sample = np.empty((samples, 10), np.float32)
     group_of = np.empty(samples, np.int32)
@@ -176,6 +217,7 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, samples, s
             materials,
             material,
             attributes,
+            lamps,
             tx,
             ty,
             samples,
@@ -187,6 +229,7 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, samples, s
             weight,
             direction,
             depth,
+            shine,
         )
         for lane in range(WIDTH):
             px, py = tx + lane % TILE, ty + lane // TILE
@@ -194,6 +237,8 @@ def _view_tiles(rays, camera, materials, geometry, world, begin, end, samples, s
                 continue
             pixel = (py - y0) * width + (px - x0)
             out = layers[pixel]
+            for c in range(3):
+                out[3 + c] = share * shine[lane, c]
             nearest = -1
             groups = 0
             for s in range(samples):
@@ -306,10 +351,13 @@ def view(scene: Scene, rays, world, samples: int, seed: int, threads: int = 0, p
     chunk = 16
     g = scene.geometry
     geometry = (g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object)
+    lamps = visible_lamps(scene)
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * WIDTH * samples)
-        n, n_rays = _view_tiles(rays, camera, scene.materials.tables, geometry, world, begin, end, samples, np.uint32(seed), room, layers)
+        n, n_rays = _view_tiles(
+            rays, camera, scene.materials.tables, geometry, lamps, world, begin, end, samples, np.uint32(seed), room, layers
+        )
         return room.take(slice(0, n)), n_rays
 
     parts = run_chunks(work, tiles, chunk, threads, progress)

@@ -1,18 +1,24 @@
 """What the camera sees: the surface points that stand for a pixel, and the lamps in front of them."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
+from lumigate.core import scene as sc
 from lumigate.core.lamps import world_tables
 from lumigate.core.rays import RayScene
+from lumigate.core.surfaces.layout import TRANSPARENCY
 from lumigate.core.view.primary import view
 
 from .conftest import camera, geometry, materials, quads, scene
 
 
 def seen(s, samples=16, seed=1):
-    """The view of a scene without transparency."""
+    """The view of a scene."""
     g = s.geometry
-    with RayScene(g.vertices, g.triangles, g.object_visibility[g.object]) as rays:
+    transparent = (s.materials.tables.flags[g.material] & sc.TRANSPARENT) != 0
+    with RayScene(g.vertices, g.triangles, g.object_visibility[g.object], transparent) as rays:
         return view(s, rays.tables, world_tables(s.world), samples, seed)
 
 
@@ -25,3 +31,95 @@ def test_a_surface_is_lit_wherever_its_pixel_shows_it():
     within = (points.position[:, 0] + 1) * 24 % 1  # across the pixel: one is 1/24 m wide
     assert within.mean() == pytest.approx(1 / 2, abs=0.02)
     assert within.var() == pytest.approx(1 / 12, rel=0.06)
+
+
+def spheres(*rows):
+    """Point lamps of (position, radius, intensity, visibility)."""
+    empty, n = sc.Lamps.empty(), len(rows)
+    columns = dict(
+        kind=[sc.POINT] * n, position=[r[0] for r in rows], axes=[np.eye(3)] * n, emission=[(r[2],) * 3 for r in rows],
+        radius=[r[1] for r in rows], soft_falloff=[0] * n, angle=[np.pi] * n, blend=[0] * n, size=[(0, 0)] * n, shape=[0] * n,
+        visibility=[r[3] for r in rows], cast_shadow=[1] * n,
+    )  # fmt: skip
+    return sc.Lamps(
+        **{k: np.array(v, getattr(empty, k).dtype) for k, v in columns.items()}, names=[f"lamp {i}" for i in range(n)], groups=[""] * n
+    )
+
+
+def wall(z):
+    return [(-50, -50, z), (50, -50, z), (50, 50, z), (-50, 50, z)]
+
+
+def veiled(share):
+    """Materials: a wall of albedo .5, and one that lets `share` through and reflects half of the rest."""
+    stuff = materials((0.5, 0.0), (0.5 * (1 - share), 0.0))
+    stuff.tables.flags[1] |= sc.TRANSPARENT
+    stuff.tables.constant[1, TRANSPARENCY : TRANSPARENCY + 3] = share
+    return stuff
+
+
+def test_a_lamp_in_view_adds_its_radiance_and_hides_nothing():
+    # Radius 1 at distance 4 in a square view of 90 degrees: a disk of tangent 1 / sqrt(15), radiance I / (pi r^2).
+    lamps = spheres(((0, 0, -4), 1.0, 3.0, sc.ALL_RAYS))
+    s = scene(geometry(*quads(wall(-9))), materials((0.5, 0.0)), lamps=lamps, camera=camera(width=32, height=32))
+    picture = seen(s, 64)
+    share = np.pi / 15 / 4
+    assert picture.emission.mean() == pytest.approx(share * 3.0 / np.pi, rel=0.005)
+    assert picture.emission[16, 16] == pytest.approx(3.0 / np.pi, rel=1e-5)
+    assert picture.emission[0].max() == 0
+    assert picture.albedo.min() == pytest.approx(0.5)
+    assert picture.depth.min() == pytest.approx(9)
+
+
+@pytest.mark.parametrize(
+    "row",
+    [((0, 0, -12), 1.0, 3.0, sc.ALL_RAYS), ((0, 0, 4), 1.0, 3.0, sc.ALL_RAYS), ((0, 0, -4), 1.0, 3.0, sc.ALL_RAYS & ~sc.CAMERA), ((0, 0, -4), 0.0, 3.0, sc.ALL_RAYS)],
+    ids=["behind a wall", "behind the camera", "invisible", "of no size"],
+)  # fmt: skip
+def test_a_lamp_out_of_view_is_not_seen(row):
+    s = scene(geometry(*quads(wall(-9))), materials((0.5, 0.0)), lamps=spheres(row))
+    assert not seen(s).emission.any()
+
+
+def test_a_lamp_that_lights_nothing_is_seen_all_the_same():
+    s = scene(geometry(*quads(wall(-9))), materials((0.5, 0.0)), lamps=spheres(((0, 0, -4), 1.0, 3.0, sc.CAMERA)))
+    assert seen(s).emission.max() == pytest.approx(3.0 / np.pi, rel=1e-5)
+
+
+def test_a_veil_dims_what_lies_behind_and_keeps_its_own_share():
+    vertices, triangles = quads(wall(-9), wall(-3))
+    behind, before = ((1, 0, -6), 2.5, 3.0, sc.ALL_RAYS), ((-1, 0, -2), 0.5, 3.0, sc.ALL_RAYS)
+    g = geometry(vertices, triangles, np.repeat([0, 1], 2))
+    s = scene(g, veiled(0.6), lamps=spheres(behind), camera=camera(width=32, height=32))
+    through = seen(s, 64)
+    free = seen(replace(s, geometry=geometry(*quads(wall(-9)))), 64)
+    assert through.emission.mean() == pytest.approx(0.6 * free.emission.mean(), rel=0.02)
+    assert through.albedo.mean() == pytest.approx(0.5, rel=0.002)
+    s = replace(s, lamps=spheres(before))
+    np.testing.assert_array_equal(seen(s, 64).emission, seen(replace(s, geometry=geometry(*quads(wall(-9)))), 64).emission)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_lamps_are_found_from_every_tile(orthographic):
+    # Tiles look only at lamps near them; the oracle looks at all of them on a fine grid of rays.
+    rng = np.random.default_rng(5)
+    radii = rng.uniform(0.02, 0.9, 40)
+    rows = [((*rng.uniform(-6, 6, 2), -rng.uniform(1, 8)), r, r * r, sc.ALL_RAYS) for r in radii]
+    width, height, fine = 37, 29, 8
+    eye = camera(width=width, height=height, angle=1.4)
+    eye = replace(eye, orthographic=True, window=(-6, 6, -5, 5)) if orthographic else eye
+    picture = seen(scene(geometry(*quads(wall(-9))), materials((0.5, 0.0)), lamps=spheres(*rows), camera=eye), 64)
+    left, right, bottom, top = eye.window
+    x = left + (right - left) * (np.arange(width * fine) + 0.5) / (width * fine)
+    y = top + (bottom - top) * (np.arange(height * fine) + 0.5) / (height * fine)
+    ray = np.stack([*np.meshgrid(x, y), np.full((height * fine, width * fine), -1.0)], -1)
+    expected = np.zeros(ray.shape[:2])
+    for position, radius, intensity, _ in rows:
+        if orthographic:
+            aside = ((ray[..., :2] - position[:2]) ** 2).sum(-1)
+        else:
+            aside = (np.cross(ray, position) ** 2).sum(-1) / (ray**2).sum(-1)
+        expected += (aside < radius**2) * intensity / (np.pi * radius**2)
+    expected = expected.reshape(height, fine, width, fine).mean((1, 3))
+    assert np.abs(picture.emission[..., 0] - expected).mean() < 0.03 * expected.mean()
+    assert picture.emission.mean() == pytest.approx(expected.mean(), rel=0.005)

@@ -1,4 +1,4 @@
-"""Direct light against Cycles, lobe by lobe: floors of every roughness under lamps that are large beside their distance."""
+"""Direct light against Cycles, lobe by lobe, and lamps that the camera sees."""
 
 import math
 
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lumigate.addon.extract import extract_scene
+from lumigate.core.metrics import relmse
 from lumigate.core.pipeline import render
 from lumigate.core.settings import RenderSettings
 from lumigate.headless.reference import ReferenceSettings, render_layers
@@ -35,7 +36,27 @@ def quad(scene, corners, surface, seen=True):
     scene.collection.objects.link(made)
 
 
-def floors(lamp_type, metallic, **lamp):
+def lamp(scene, lamp_type, location, rotation=(0.0, 0.0, 0.0), energy=100.0, seen=True, diffuse=True, **settings):
+    light = bpy.data.lights.new("Lamp", lamp_type)
+    light.energy = energy
+    for key, value in settings.items():
+        setattr(light, key, value)
+    placed = bpy.data.objects.new("Lamp", light)
+    placed.location, placed.rotation_euler = location, rotation
+    placed.visible_camera, placed.visible_diffuse = seen, diffuse
+    scene.collection.objects.link(placed)
+
+
+def look(scene, location, rotation, **settings):
+    camera = bpy.data.cameras.new("Camera")
+    for key, value in settings.items():
+        setattr(camera, key, value)
+    scene.camera = bpy.data.objects.new("Camera", camera)
+    scene.camera.location, scene.camera.rotation_euler = location, rotation
+    scene.collection.objects.link(scene.camera)
+
+
+def floors(lamp_type, metallic, **settings):
     """A floor of each roughness, side by side in booths with black walls, each under one lamp."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
@@ -45,19 +66,8 @@ def floors(lamp_type, metallic, **lamp):
         floor = material(f"Floor {k}", Roughness=roughness, Metallic=metallic, Base_Color=(0.5, 0.5, 0.5, 1))
         quad(scene, [(x - 1, -2, 0), (x + 1, -2, 0), (x + 1, 2, 0), (x - 1, 2, 0)], floor)
         quad(scene, [(x + 1, -9, -1), (x + 1, 9, -1), (x + 1, 9, 9), (x + 1, -9, 9)], black, seen=False)
-        light = bpy.data.lights.new("Lamp", lamp_type)
-        light.energy = 100.0
-        for key, value in lamp.items():
-            setattr(light, key, value)
-        placed = bpy.data.objects.new("Lamp", light)
-        placed.location = (x, 0.6, 0.8)
-        placed.visible_camera = False
-        scene.collection.objects.link(placed)
-    camera = bpy.data.cameras.new("Camera")
-    camera.type, camera.ortho_scale = "ORTHO", 10.0
-    scene.camera = bpy.data.objects.new("Camera", camera)
-    scene.camera.location, scene.camera.rotation_euler = (0, -6, 6), (math.radians(45), 0, 0)
-    scene.collection.objects.link(scene.camera)
+        lamp(scene, lamp_type, (x, 0.6, 0.8), seen=False, **settings)
+    look(scene, (0, -6, 6), (math.radians(45), 0, 0), type="ORTHO", ortho_scale=10.0)
     return scene
 
 
@@ -70,17 +80,17 @@ def floor_means(direct):
 @pytest.mark.slow
 @pytest.mark.parametrize("metallic", [0.0, 1.0])
 @pytest.mark.parametrize(
-    "lamp",
+    "settings",
     [
         {"lamp_type": "AREA", "size": 0.8},
         {"lamp_type": "POINT", "shadow_soft_size": 0.4, "use_soft_falloff": False},
         {"lamp_type": "SPOT", "shadow_soft_size": 0.4, "spot_size": 1.8, "spot_blend": 0.4},
     ],
-    ids=lambda lamp: lamp["lamp_type"],
+    ids=lambda settings: settings["lamp_type"],
 )
-def test_lobes_of_every_roughness(lamp, metallic):
+def test_lobes_of_every_roughness(settings, metallic):
     # Large lamps: what shadow rays and rays drawn from the lobe find adds up to the lamp's light, once.
-    scene = floors(**lamp, metallic=metallic)
+    scene = floors(**settings, metallic=metallic)
     reference, _ = render_layers(scene, ReferenceSettings(spp=384, size=SIZE, bounces=0))
     arrays = extract_scene(scene, size=SIZE)
     ours = [render(arrays, RenderSettings(bounces=0, seed=seed)).layers["Direct"] for seed in range(SEEDS)]
@@ -88,3 +98,37 @@ def test_lobes_of_every_roughness(lamp, metallic):
     noise = means.std(axis=0, ddof=1) / math.sqrt(SEEDS) / expected
     assert (noise < 0.015).all()
     assert (np.abs(means.mean(axis=0) / expected - 1) < 0.01 + 2 * noise).all()
+
+
+def gallery_of_lamps():
+    """Lamps of all kinds before a wall, some behind a veil that lets 60 % through, some behind a post."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    quarter = math.pi / 2
+    for x0, x1, y, alpha in ((-5, 5, 4, 1.0), (-1, 1, 2, 0.4), (1.4, 2.1, 1.5, 1.0)):
+        surface = material("Wall", Alpha=alpha, Base_Color=(0.5, 0.5, 0.5, 1), Specular_IOR_Level=0.0)
+        quad(scene, [(x0, y, -3), (x1, y, -3), (x1, y, 3), (x0, y, 3)], surface)
+    lamp(scene, "POINT", (-2, 3, 0), shadow_soft_size=0.4, use_soft_falloff=False, color=(1, 0.7, 0.4))
+    lamp(scene, "POINT", (0, 3, 0.8), shadow_soft_size=0.4, use_soft_falloff=True)  # behind the veil
+    lamp(scene, "POINT", (0, 1, -0.8), shadow_soft_size=0.3)  # before it
+    lamp(scene, "POINT", (-1.2, 1, -0.9), shadow_soft_size=0.2, seen=False)
+    lamp(scene, "AREA", (2, 3, 0), (quarter + 0.3, 0, math.pi), size=1.2, shape="DISK")  # its back
+    lamp(scene, "AREA", (2, 3, 0), (-quarter - 0.3, 0, 0.2), size=1.0)  # partly behind the post
+    lamp(scene, "AREA", (3, 2.5, 1), (-quarter - 0.3, 0, math.pi + 0.3), size=0.8, spread=1.2)
+    lamp(scene, "SPOT", (-3, 3, -0.9), (-quarter - 0.3, 0, math.pi - 0.2), shadow_soft_size=0.3, spot_size=1.4, diffuse=False)
+    return scene
+
+
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
+def test_the_camera_sees_lamps(kind):
+    scene = gallery_of_lamps()
+    look(scene, (0.1, -3, 0.3), (math.pi / 2, 0, 0), type=kind, ortho_scale=9, lens=26)
+    size = (65, 37)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=144, size=size, bounces=0))
+    ours = render(extract_scene(scene, size=size), RenderSettings(bounces=0, pixel_samples=64)).layers
+    assert reference["Emission"].mean() > 0.05
+    assert ours["Emission"].mean() == pytest.approx(reference["Emission"].mean(), rel=0.01)
+    assert relmse(ours["Emission"], reference["Emission"]) < 0.01
+    # What a veil lets through and what it keeps are 100 % together.
+    np.testing.assert_allclose(ours["Albedo"].mean((0, 1)), reference["Albedo"].mean((0, 1)), rtol=0.003)
+    np.testing.assert_allclose(ours["Combined"].mean((0, 1)), reference["Combined"].mean((0, 1)), rtol=0.015)

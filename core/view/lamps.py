@@ -1,0 +1,77 @@
+"""Lamps that the camera sees, as Cycles shows them: they add their light to a pixel and hide nothing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ..jit import kernel, leaf
+from ..lamps.build import lamp_tables
+from ..lamps.lookup import lamp_along
+from ..lamps.tables import POSITION, RADIUS, SIZE, LampTables
+from ..scene import AREA, CAMERA, SUN, Scene
+from .camera import camera_ray
+
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+_HALF = np.float32(0.5)
+_INFINITY = np.float32(np.inf)
+
+
+def visible_lamps(scene: Scene) -> LampTables:
+    """The lamps with a size that camera rays may meet."""
+    lamps = scene.lamps
+    sized = np.where(lamps.kind == SUN, lamps.angle, np.where(lamps.kind == AREA, 1, lamps.radius)) > 0
+    finite = np.isfinite(lamps.emission.reshape(-1, 3)).all(1)
+    return lamp_tables(replace(scene, lamps=lamps.take(sized & finite)), CAMERA)
+
+
+@leaf
+def _reach(lamps, i):
+    """Radius (m) of the sphere about its position that holds lamp i."""
+    if lamps.kind[i] == SUN:
+        return _INFINITY
+    if lamps.kind[i] == AREA:
+        return _HALF * np.float32(math.sqrt(lamps.lamps[i, SIZE] ** 2 + lamps.lamps[i, SIZE + 1] ** 2))
+    return lamps.lamps[i, RADIUS]
+
+
+@kernel
+def lamps_in_tile(lamps, camera, x0, y0, x1, y1, near):
+    """Number of lamps that rays through the pixels x0 <= x < x1, y0 <= y < y1 may meet, and their indices in `near` (A,)."""
+    if len(lamps.kind) == 0:
+        return 0
+    # All rays lie in a cone about the middle one, whose apex is widened to hold where they begin.
+    ox, oy, oz, dx, dy, dz, _ = camera_ray(camera, np.float32(x0 + x1) * _HALF, np.float32(y0 + y1) * _HALF)
+    wide, cosine = _0, _1
+    for corner in range(4):
+        qx, qy, qz, ex, ey, ez, _ = camera_ray(camera, np.float32(x1 if corner & 1 else x0), np.float32(y1 if corner & 2 else y0))
+        wide = max(wide, np.float32(math.sqrt((qx - ox) ** 2 + (qy - oy) ** 2 + (qz - oz) ** 2)))
+        cosine = min(cosine, dx * ex + dy * ey + dz * ez)
+    sine = np.float32(math.sqrt(max(_0, _1 - cosine * cosine)))
+    n = 0
+    for i in range(len(lamps.kind)):
+        vx, vy, vz = lamps.lamps[i, POSITION] - ox, lamps.lamps[i, POSITION + 1] - oy, lamps.lamps[i, POSITION + 2] - oz
+        along = vx * dx + vy * dy + vz * dz
+        aside = np.float32(math.sqrt(max(_0, vx * vx + vy * vy + vz * vz - along * along)))
+        # Distance from the cone, less what rounding may have added.
+        if aside * cosine - along * sine <= _reach(lamps, i) + wide + np.float32(1e-3) * (aside + abs(along)):
+            near[n] = i
+            n += 1
+    return n
+
+
+@kernel
+def lamps_between(lamps, near, n, ox, oy, oz, dx, dy, dz, start, end):
+    """Radiance (r, g, b) of the lamps near[0..n-1] whose distance along the unit direction d from o lies in start..end."""
+    r = g = b = _0
+    for k in range(n):
+        i = near[k]
+        t, share = lamp_along(lamps, i, ox, oy, oz, dx, dy, dz)
+        if share > _0 and start <= t and t <= end:
+            r += share * lamps.radiance[i, 0]
+            g += share * lamps.radiance[i, 1]
+            b += share * lamps.radiance[i, 2]
+    return r, g, b
