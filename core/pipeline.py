@@ -15,6 +15,7 @@ from .inspection import foresee
 from .jit import CompileTimer
 from .lamps import build_emitters, direct_irradiance, direct_light, world_tables
 from .layers import Layers
+from .methods.fuzzy_clustering import FuzzyClustering
 from .methods.glossy import has_lobes, reflect
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
@@ -52,6 +53,7 @@ class _Run:
     pairs: int = 0
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    clusters: FuzzyClustering | None = None  # whose clusters the debug layers show
 
     @contextmanager
     def stage(self, name: str):
@@ -101,6 +103,8 @@ def render(
         shown, reflected = _glossy(run, tables, points, settings, threads)
         indirect, vpls = _indirect(run, tables, points, settings, threads)
         debug = single_lights(tables, vpls, points, seen.shape, threads) if settings.debug_layers else {}
+        if settings.debug_layers and run.clusters is not None:
+            debug |= run.clusters.debug_layers(points, seen.shape)
     layers = compose(seen, direct, indirect, highlights + shown, reflected, scene)
     if settings.denoise:
         with run.stage("denoise"):
@@ -132,7 +136,9 @@ def _method(settings: RenderSettings) -> str:
     """The method that runs: `auto` takes the most accurate one there is."""
     if settings.method in ("auto", "instant-radiosity"):
         return "instant-radiosity"
-    raise SceneError(f"method {settings.method!r} is not available; use instant-radiosity or auto")
+    if settings.method == "fuzzy-clustering":
+        return settings.method
+    raise SceneError(f"method {settings.method!r} is not available; use instant-radiosity, fuzzy-clustering or auto")
 
 
 def _direct(
@@ -189,7 +195,19 @@ def _indirect(run: _Run, tables: Transport, points: ShadingPoints, settings: Ren
         run.skipped.append(Skipped("vpls", "no lamp's light reaches a surface"))
         return nothing, Vpls.allocate(0)
     with run.stage("indirect") as tick:
-        if settings.visibility == "shadow-maps":
+        if settings.method == "fuzzy-clustering":
+            solver = run.clusters = FuzzyClustering(
+                vpl_clusters=settings.vpl_clusters,
+                point_clusters=settings.point_clusters,
+                fuzziness=settings.fuzziness,
+                weighting=settings.weighting,
+                shade_with=settings.shade_with,
+                compensation=settings.gather if settings.compensation else 0,
+                bounces=settings.bounces,
+                seed=settings.seed,
+                threads=threads,
+            )
+        elif settings.visibility == "shadow-maps":
             solver = ShadowMappedRadiosity(seed=settings.seed, threads=threads)
         else:
             compensation = settings.gather if settings.compensation and settings.visibility == "rays" else 0

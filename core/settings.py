@@ -47,6 +47,8 @@ class RenderSettings:
     vpl_clusters: int = 1000
     point_clusters: int = 8000
     fuzziness: int = 6
+    weighting: str = "smooth"  # smooth | distance | plain
+    shade_with: str = "vpls"  # vpls | clusters
 
     # importance sampling
     samples: int = 32

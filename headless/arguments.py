@@ -147,6 +147,27 @@ METHOD_OPTIONS: dict[str, tuple[MethodOption, ...]] = {
             {"action": "store_const", "const": False, "help": "do not give back the light that the clamped geometry term loses"},
         ),
     ),
+    "fuzzy-clustering": (
+        MethodOption("--vpl-clusters", "vpl_clusters", {"type": count, "metavar": "K", "help": "clusters of VPLs (default: 1000)"}),
+        MethodOption(
+            "--point-clusters", "point_clusters", {"type": count, "metavar": "K", "help": "clusters of shading points (default: 8000)"}
+        ),
+        MethodOption(
+            "--fuzziness",
+            "fuzziness",
+            {"type": count, "metavar": "F", "help": "clusters whose visibility a point blends, 1 for its own alone (default: 6)"},
+        ),
+        MethodOption(
+            "--weighting",
+            "weighting",
+            {"choices": ("smooth", "distance", "plain"), "help": "of the blended clusters: by distance or all alike (default: smooth)"},
+        ),
+        MethodOption(
+            "--shade-with",
+            "shade_with",
+            {"choices": ("vpls", "clusters"), "help": "every VPL with its cluster's visibility, or one light a cluster (default: vpls)"},
+        ),
+    ),
 }
 
 

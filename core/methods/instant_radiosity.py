@@ -102,7 +102,7 @@ def _shade(scene, vpls, points, begin, end, g_max, visibility, cutouts, out):
 
 
 @kernel
-def _compensate(scene, points, begin, end, g_max, samples, bounces, seed, out):
+def compensate(scene, points, begin, end, g_max, samples, bounces, seed, out):
     """Adds what the clamp took from the points begin..end-1, by `samples` gather rays each; the rays traced.
 
     Kollig & Keller 2004, "Illumination in the Presence of Weak Singularities", Eq. 5.
@@ -236,7 +236,7 @@ class InstantRadiosity:
         def work(begin, end):
             rays = _shade(self.scene, self.vpls, points, begin, end, self.g_max, self.visibility == "rays", cutouts, out)
             if self.compensation and np.isfinite(self.g_max):
-                rays += _compensate(
+                rays += compensate(
                     self.scene, points, begin, end, self.g_max, self.compensation, self.bounces, np.uint32(self.seed + 1), out
                 )
             return rays

@@ -1,0 +1,242 @@
+"""Fuzzy clustering: a fast, smooth preview of what many VPLs give to many shading points.
+
+Fuzzy clustering paper (2022), Section 3.  Shading points and VPLs are both clustered; shadow rays join clusters only,
+and the visibility of a point is a blend over the clusters around it, while geometry terms are its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..clustering import Clustering, FuzzyAssignment, PointBlocks, VplClusters, cluster_vpls, fuzzy_assign, kmeans, point_blocks
+from ..particles import Vpls
+from ..rays.order import morton_order
+from ..scene import TRANSPARENT
+from ..threads import Progress, run_chunks
+from ..transport import Transport
+from ..view.points import ShadingPoints
+from .cluster_shading import Lights, blend_values, light_tables, shade, trace_clusters
+from .instant_radiosity import clamp_of, compensate
+
+SHADE_WITH = ("vpls", "clusters")
+
+CLUSTERS_A_CHUNK = 256  # neighbours, so that a light's rays to their representatives are coherent
+POINTS_A_CHUNK = 1024
+VISIBILITY_BYTES = 1 << 26  # of visibility in memory at once
+SPREAD = 9  # clusters over which the light that the clamp took is spread, for it is noisy
+_TRAINING = 4  # training points a cluster
+_ITERATIONS = 3
+
+
+@dataclass(frozen=True)
+class ViewClusters:
+    """C clusters of a view's N shading points.
+
+    sizes: (C,) int32, members.  members: (N',) int64, the points that have a cluster, cluster by cluster.
+    representatives: C shading points, in space-filling order, which is the clusters' own.
+    at: (C,) int64, which points they are.  order: (N',) int32, all points in space-filling order.
+    fuzzy: the clusters of each point and their weights.
+    seen: (C, 2) float32, the light visible from each representative, and all light that faces it.
+    """
+
+    sizes: np.ndarray
+    members: np.ndarray
+    representatives: ShadingPoints
+    at: np.ndarray
+    order: np.ndarray
+    fuzzy: FuzzyAssignment
+    seen: np.ndarray
+
+    def random_members(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """(C * count,) points: `count` members of each cluster, one at random from each of as many equal parts of it."""
+        first = np.cumsum(self.sizes, dtype=np.int64) - self.sizes
+        within = (np.arange(count) + rng.random((len(self.sizes), count))) / count
+        return self.members[first[:, None] + (within * self.sizes[:, None]).astype(np.int64)].ravel()
+
+
+class FuzzyClustering:
+    """Visibility by clusters, geometry terms by points.
+
+    vpl_clusters, point_clusters: about how many (Section 3.2.1).
+    fuzziness, weighting: of `fuzzy_assign`; fuzziness 1 is hard clustering.
+    shade_with: `vpls` shades with every VPL, clusters giving only visibility; `clusters` with one representative of
+        each VPL cluster, which has the cluster's flux (Eq. 6).
+    compensation: gather rays a point cluster that give back the light taken by the clamp (0: none).
+
+    `prepare` does the work on the lights, `irradiance` that on the view: other views of the same VPLs cost no work on lights.
+    """
+
+    def __init__(
+        self,
+        *,
+        vpl_clusters: int = 1000,
+        point_clusters: int = 8000,
+        fuzziness: int = 6,
+        weighting: str = "smooth",
+        shade_with: str = "vpls",
+        compensation: int = 8,
+        bounces: int = 4,
+        seed: int = 0,
+        threads: int = 0,
+    ):
+        if shade_with not in SHADE_WITH:
+            raise ValueError(f"shade_with: expected one of {', '.join(SHADE_WITH)}, got {shade_with!r}")
+        self.vpl_clusters = vpl_clusters
+        self.point_clusters = point_clusters
+        self.fuzziness = fuzziness
+        self.weighting = weighting
+        self.shade_with = shade_with
+        self.compensation = compensation
+        self.bounces = bounces
+        self.seed = seed
+        self.threads = threads
+        self.rays = 0
+        self.pairs = 0
+        self.view: ViewClusters | None = None  # of the last call of `irradiance`
+
+    def prepare(self, scene: Transport, vpls: Vpls, points: ShadingPoints) -> None:
+        """Takes the scene and clusters its VPLs; `points` only sets the scale of the clamp."""
+        self.scene = scene
+        self.lights = lights_of(vpls, cluster_vpls(vpls, self.vpl_clusters, seed=self.seed, threads=self.threads), self.shade_with)
+        self.g_max = np.float32(clamp_of(self.lights.vpls, points))
+
+    def irradiance(self, points: ShadingPoints, progress: Progress | None = None) -> np.ndarray:
+        """Indirect irradiance at N points, (N, 3) float32, W/m^2; zero where a coordinate is not finite."""
+        out = np.zeros((len(points.pixel), 3), np.float32)
+        blocks = point_blocks(points.position, points.ns)
+        if len(self.lights.power) == 0 or len(blocks) == 0:
+            return out
+        self.view = self._cluster_view(points, blocks)
+        self._light(points, out, progress)
+        if self.compensation and np.isfinite(self.g_max):
+            self._give_back(points, out)
+        self.pairs += len(out) * len(self.lights.power)
+        return out
+
+    def _cluster_view(self, points: ShadingPoints, blocks: PointBlocks) -> ViewClusters:
+        gamma = max(1.0, len(blocks) / (_TRAINING * self.point_clusters))
+        clustering = kmeans(blocks, None, self.point_clusters, iterations=_ITERATIONS, gamma=gamma, seed=self.seed, threads=self.threads)
+        # Neighbouring representatives are neighbours in memory: their rays are traced together.
+        at = clustering.representatives
+        order = morton_order(points.position[at], points.ns[at])
+        at = at[order]
+        representatives = points.take(at)
+        fuzzy = self._blend_over(blocks, None, representatives, self.fuzziness, self.weighting)
+        members = _by_cluster(clustering, order)
+        return ViewClusters(clustering.sizes[order], members, representatives, at, blocks.order, fuzzy, np.zeros((len(at), 2), np.float32))
+
+    def _blend_over(self, positions, normals, representatives: ShadingPoints, count: int, weighting: str) -> FuzzyAssignment:
+        centres = representatives.position, representatives.ns
+        return fuzzy_assign(positions, normals, *centres, count, weighting=weighting, threads=self.threads)
+
+    def _light(self, points: ShadingPoints, out: np.ndarray, progress: Progress | None) -> None:
+        """Adds the light of all VPLs, in tiles of as many as the memory for visibility allows."""
+        lights, view = self.lights, self.view
+        cutouts = bool((self.scene.materials.flags & TRANSPARENT).any())
+        clusters = len(lights.first) - 1
+        columns = max(1, VISIBILITY_BYTES // len(view.at))
+        begin = 0
+        while begin < clusters:
+            first = int(lights.first[begin])
+            end = max(begin + 1, int(np.searchsorted(lights.first, first + columns, side="right")) - 1)
+            visible = np.empty((len(view.at), int(lights.first[end]) - first), np.uint8)
+
+            def trace(b, e, begin=begin, end=end, visible=visible):
+                return trace_clusters(
+                    self.scene,
+                    view.representatives,
+                    b,
+                    e,
+                    lights,
+                    begin,
+                    end,
+                    self.g_max,
+                    cutouts,
+                    np.uint32(self.seed),
+                    visible,
+                    view.seen,
+                )
+
+            def light(b, e, first=first, visible=visible):
+                shade(points, view.order, b, e, lights.table, first, visible, *view.fuzzy[:2], self.g_max, out)
+
+            half = (end - begin) / (2 * clusters)
+            self.rays += sum(run_chunks(trace, len(view.at), CLUSTERS_A_CHUNK, self.threads, _part(progress, begin / clusters, half)))
+            run_chunks(light, len(view.order), POINTS_A_CHUNK, self.threads, _part(progress, begin / clusters + half, half))
+            begin = end
+
+    def _give_back(self, points: ShadingPoints, out: np.ndarray) -> None:
+        """Adds the light that the clamp took: a mean for each cluster, found at random members, blended like visibility."""
+        view = self.view
+        at = points.take(view.random_members(self.compensation, np.random.default_rng(self.seed)))
+        lost = np.zeros((len(at.pixel), 3), np.float32)
+
+        def gather(begin, end):
+            return compensate(self.scene, at, begin, end, self.g_max, 1, self.bounces, np.uint32(self.seed + 1), lost)
+
+        self.rays += sum(run_chunks(gather, len(lost), POINTS_A_CHUNK, self.threads))
+        means = lost.reshape(-1, self.compensation, 3).mean(axis=1)
+        near = self._blend_over(view.representatives.position, view.representatives.ns, view.representatives, SPREAD, "plain")
+        weights = near.weights * view.sizes[near.indices]
+        means = np.einsum("cf,cfk->ck", weights, means[near.indices]) / weights.sum(axis=1)[:, None]
+        self._add_blend(means, out)
+
+    def _add_blend(self, values: np.ndarray, out: np.ndarray) -> None:
+        """Adds the fuzzy blend of the clusters' values (C, D) to out (N, D)."""
+        clusters, weights, _ = self.view.fuzzy
+        run_chunks(lambda begin, end: blend_values(values, clusters, weights, begin, end, out), len(out), POINTS_A_CHUNK, self.threads)
+
+    def debug_layers(self, points: ShadingPoints, shape: tuple[int, int]) -> dict[str, np.ndarray]:
+        """Pictures (H, W, C) of the clusters that the last `irradiance(points)` made, by layer name.
+
+        PointClusters: the number of each pixel's cluster, from 1 (0: no surface).  PointRepresentatives: that number where the
+        representative is.  FuzzyWeights0, ...: the blend's weights, nearest cluster first, three a layer.
+        VisibleShare: the share of the facing VPLs' light that is visible, a cluster each; VisibleShareBlended: as blended.
+        """
+        view, n = self.view, len(points.pixel)
+        if view is None:
+            return {}
+        hard, weights = view.fuzzy.indices[:, 0], view.fuzzy.weights
+        share = (view.seen[:, :1] / np.maximum(view.seen[:, 1:], np.float32(1e-30))).astype(np.float32)
+        blended = np.zeros((n, 1), np.float32)
+        self._add_blend(share, blended)
+        representative = np.zeros((n, 1), np.float32)
+        representative[view.at, 0] = np.arange(1, len(view.at) + 1)
+        padded = np.pad(weights, ((0, 0), (0, -weights.shape[1] % 3)))
+        pictures = {"PointClusters": hard[:, None] + 1.0, "PointRepresentatives": representative}
+        pictures |= {f"FuzzyWeights{k}": padded[:, 3 * k : 3 * k + 3] for k in range(padded.shape[1] // 3)}
+        pictures |= {"VisibleShare": share[hard], "VisibleShareBlended": blended}
+        return {name: _picture(values, points.pixel, shape) for name, values in pictures.items()}
+
+
+def lights_of(vpls: Vpls, clusters: VplClusters, shade_with: str) -> Lights:
+    """The lights that shade, in the order of `Lights`."""
+    order = morton_order(clusters.lights.position, clusters.lights.normal)
+    if shade_with == "clusters":
+        lights, sizes = clusters.lights.take(order), np.ones(len(order), np.int64)
+    else:
+        lights, sizes = vpls.take(_by_cluster(clusters.clustering, order)), clusters.clustering.sizes[order]
+    return light_tables(lights, np.concatenate([[0], np.cumsum(sizes)]))
+
+
+def _by_cluster(clustering: Clustering, order: np.ndarray) -> np.ndarray:
+    """The points that have a cluster, cluster by cluster, with the clusters in `order`."""
+    rank = np.empty(len(order) + 1, np.int64)
+    rank[order] = np.arange(len(order))
+    rank[-1] = -1  # of the points without a cluster, whose assignment is -1 too
+    place = rank[clustering.assignment]
+    return np.argsort(place, kind="stable")[np.count_nonzero(place < 0) :]
+
+
+def _part(progress: Progress | None, begin: float, length: float) -> Progress | None:
+    """The progress function of a part of the work."""
+    return None if progress is None else lambda fraction: progress(begin + length * fraction)
+
+
+def _picture(values: np.ndarray, pixel: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """(H, W, C) of values (N, C): of a pixel's points the largest counts, so that single marked points are not lost."""
+    out = np.zeros((shape[0] * shape[1], values.shape[1]), np.float32)
+    np.maximum.at(out, pixel, values)
+    return out.reshape(*shape, -1)
