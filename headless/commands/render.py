@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ...core.layers import write_exr
 from ..console import Terminal
+from ..debug_pictures import write_debug_pictures
 from ..frames import Frame, View, numbered, render_frame
 from ..results import write_json
 from ..sources import open_source
@@ -29,6 +30,7 @@ def _save(frame: Frame, output: Path, stats: Path | None, terminal: Terminal) ->
     for warning in frame.stats["warnings"]:
         terminal.warn(warning)
     write_exr(output, frame.layers)
+    write_debug_pictures(output, frame.layers)
     if stats is not None:
         write_json(stats, frame.stats)
     width, height = frame.stats["size"]

@@ -1,0 +1,227 @@
+"""Fuzzy clustering beside brute-force instant radiosity of the same VPLs: speed, error of the displayed picture, cluster borders.
+
+The paper's three configurations (2022, Figure 1): the Cornell box, a room, and a scene with much visibility to resolve.
+Brute force is timed on whole chunks of neighbouring points, spread over the picture, and scaled by their share of it; errors are
+those of the same points.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..core.lamps import build_emitters, direct_irradiance, world_tables
+from ..core.layers import auto_exposure, srgb
+from ..core.methods.fuzzy_clustering import FuzzyClustering
+from ..core.methods.instant_radiosity import CHUNK, InstantRadiosity, clamp_of
+from ..core.particles import Vpls
+from ..core.rays import RayScene
+from ..core.scene import TRANSPARENT, Scene
+from ..core.transport import Transport, transport
+from ..core.view.points import ShadingPoints
+from ..core.view.primary import view
+from ..core.vpl_pool import vpl_pool
+from .sources import extract, open_source
+
+SIZE = (800, 800)
+VPLS = 8192
+BOUNCES = 4
+REPEATS = 3
+CLUSTERS = (1000, 2000, 4000, 8000, 20000)  # on either axis, one at a time
+FUZZINESS = (1, 2, 6, 10)
+GATHER, REFERENCE_GATHER = 8, 64  # gather rays a point: of the brute force that is timed, and of the one that errors are measured from
+CHUNKS = 64  # of points lit by brute force
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """One of the paper's configurations: its clusters, its speed-up over brute force and its MSE."""
+
+    name: str
+    source: str
+    vpl_clusters: int
+    point_clusters: int
+    speed_up: float
+    mse: float
+
+
+CONFIGURATIONS = (
+    Configuration("Cornell box", "cornell", 1000, 20000, 14.5, 1.10e-3),
+    Configuration("living room", "living-room-greywhite/scene.blend", 4000, 8000, 5.8, 8.13e-4),
+    Configuration("atrium", "atrium", 2000, 8000, 16.0, 1.80e-3),
+)
+
+
+@dataclass(frozen=True)
+class LitView:
+    """What both contestants light: N shading points, M VPLs, and the tables of the scene."""
+
+    tables: Transport
+    points: ShadingPoints
+    vpls: Vpls
+    shape: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class BruteForce:
+    """Instant radiosity at some of the points.
+
+    at: their indices.  seconds: scaled to all points.  direct, irradiance: (S, 3) W/m^2.
+    """
+
+    at: np.ndarray
+    seconds: float
+    direct: np.ndarray
+    irradiance: np.ndarray
+
+
+def fuzzy_rows(
+    configurations: tuple[Configuration, ...] = CONFIGURATIONS,
+    size: tuple[int, int] = SIZE,
+    vpls: int = VPLS,
+    repeats: int = REPEATS,
+    clusters: tuple[int, ...] = CLUSTERS,
+    fuzziness: tuple[int, ...] = FUZZINESS,
+) -> list[dict]:
+    """Rows of the suite `fuzzy`; scenes that are not there are left out."""
+    rows = []
+    for configuration in configurations:
+        source = find_scene(configuration.source)
+        if source is None:
+            continue
+        with lit_view(extract(open_source(source), camera=None, size=size, frame=None), vpls) as lit:
+            rows += _rows_of(configuration, lit, repeats, clusters, fuzziness)
+    return rows
+
+
+def find_scene(source: str) -> str | None:
+    """The path of a scene under LUMIGATE_SCENES or beside this clone, or the name of a sample scene; None where there is none."""
+    if not source.endswith(".blend"):
+        return source
+    folder = os.environ.get("LUMIGATE_SCENES")
+    path = (Path(folder) if folder else Path(__file__).parents[2] / "shared" / "scenes") / source
+    return str(path) if path.is_file() else None
+
+
+@contextmanager
+def lit_view(scene: Scene, count: int) -> Iterator[LitView]:
+    """One shading point a surface of each pixel, and a pool of VPLs for them."""
+    geometry = scene.geometry
+    transparent = (scene.materials.tables.flags[geometry.material] & TRANSPARENT) != 0
+    with RayScene(geometry.vertices, geometry.triangles, geometry.object_visibility[geometry.object], transparent) as rays:
+        tables = transport(geometry, scene.materials.tables, rays.tables, build_emitters(scene))
+        seen = view(scene, rays.tables, world_tables(scene.world), 1, 0)
+        pool, _ = vpl_pool(tables, seen.points, count, BOUNCES, clamp_of, 0)
+        yield LitView(tables, seen.points, pool, seen.shape)
+
+
+def brute_force(lit: LitView) -> BruteForce:
+    """Instant radiosity at some whole chunks of points."""
+    n = len(lit.points.pixel)
+    chunks = np.linspace(0, max(n // CHUNK - 1, 0), min(CHUNKS, max(n // CHUNK, 1))).astype(np.int64)
+    at = (chunks[:, None] * CHUNK + np.arange(min(CHUNK, n))).ravel()
+    points = lit.points.take(at)
+    timed, clean = (InstantRadiosity(compensation=gather, bounces=BOUNCES) for gather in (GATHER, REFERENCE_GATHER))
+    for solver in (timed, clean):
+        solver.prepare(lit.tables, lit.vpls, lit.points)
+    timed.irradiance(points.take(slice(0, 16)))  # compiles
+    begin = time.perf_counter()
+    timed.irradiance(points)
+    seconds = (time.perf_counter() - begin) * n / len(at)
+    direct, _ = direct_irradiance(lit.tables, points, 16, 0)
+    return BruteForce(at, seconds, direct, clean.irradiance(points))
+
+
+def displayed(lit: LitView, brute: BruteForce, irradiance: np.ndarray) -> np.ndarray:
+    """Display values (S, 3) of the light that the points send to the viewer; exposed by the brute force's picture."""
+    scale = lit.points.albedo[brute.at] / np.float32(np.pi)
+    stops = auto_exposure([scale * (brute.direct + brute.irradiance)])
+    return srgb(scale * (brute.direct + irradiance) * np.float32(2.0**stops))
+
+
+def mse(lit: LitView, brute: BruteForce, irradiance: np.ndarray) -> float:
+    """Mean squared error of the displayed picture, values in 0..1; irradiance: (N, 3) at all points."""
+    difference = displayed(lit, brute, irradiance[brute.at]) - displayed(lit, brute, brute.irradiance)
+    return float(np.mean(difference**2))
+
+
+def border_energy(lit: LitView, irradiance: np.ndarray, cluster: np.ndarray) -> float:
+    """How much more neighbouring pixels differ across cluster borders than inside: mean squares over the mean irradiance squared.
+
+    irradiance: (N, 3);  cluster: (N,) each point's.  Neighbours are pixels side by side whose points lie in one plane.
+    """
+    points, (height, width) = lit.points, lit.shape
+    point_at = np.full(height * width, -1, np.int64)
+    point_at[points.pixel] = np.arange(len(points.pixel))
+    point_at = point_at.reshape(height, width)
+    pairs = [np.stack([point_at[:, :-1].ravel(), point_at[:, 1:].ravel()]), np.stack([point_at[:-1].ravel(), point_at[1:].ravel()])]
+    a, b = np.concatenate(pairs, axis=1)
+    there = (a >= 0) & (b >= 0)
+    a, b = a[there], b[there]
+    step = points.position[b] - points.position[a]
+    length = np.linalg.norm(step, axis=1)
+    flat = (np.sum(points.ns[a] * points.ns[b], axis=1) > 0.999) & (np.abs(np.sum(step * points.ns[a], axis=1)) < 0.02 * length)
+    a, b = a[flat], b[flat]
+    light = irradiance.mean(axis=1)
+    squared = ((light[a] - light[b]) / light.mean()) ** 2
+    across = cluster[a] != cluster[b]
+    return float(squared[across].mean() - squared[~across].mean())
+
+
+def _rows_of(configuration: Configuration, lit: LitView, repeats: int, clusters, fuzziness) -> list[dict]:
+    brute = brute_force(lit)
+    given = {
+        "vpl_clusters": configuration.vpl_clusters,
+        "point_clusters": configuration.point_clusters,
+        "fuzziness": 6,
+        "shade_with": "vpls",
+    }
+    settings = [given, given | {"shade_with": "clusters"}]
+    settings += [given | {axis: k} for axis in ("vpl_clusters", "point_clusters") for k in clusters if k != given[axis]]
+    settings += [given | {"fuzziness": f} for f in fuzziness if f != given["fuzziness"]]
+    rows, borders = [], {}
+    for setting in settings:
+        if setting["vpl_clusters"] >= len(lit.vpls.bounce):
+            continue
+        seconds, irradiance, solver = _solve(lit, setting, repeats)
+        label = f"{configuration.name}: {setting['vpl_clusters']} VPL clusters, {setting['point_clusters']} point clusters, " + (
+            f"F = {setting['fuzziness']}, shaded with {setting['shade_with']}"
+        )
+        facts = setting | {"scene": configuration.name, "size": list(lit.shape[::-1]), "vpls": len(lit.vpls.bounce), "rays": solver.rays}
+        error = mse(lit, brute, irradiance)
+        rows.append(_row(f"{label}: time", seconds, "s", brute.seconds, brute.seconds / seconds, facts))
+        peer = configuration.mse if setting is given else None
+        rows.append(_row(f"{label}: MSE of the displayed picture", error, "1", peer, peer and peer / error, facts))
+        if setting == given | {"fuzziness": setting["fuzziness"]}:
+            borders[setting["fuzziness"]] = border_energy(lit, irradiance, solver.view.fuzzy.indices[:, 0])
+    if 1 in borders:
+        rows += [
+            _row(f"{configuration.name}: energy of cluster borders, F = {f} against 1", value, "1", borders[1], borders[1] / value, {})
+            for f, value in borders.items()
+            if f != 1
+        ]
+    return rows
+
+
+def _solve(lit: LitView, setting: dict, repeats: int) -> tuple[float, np.ndarray, FuzzyClustering]:
+    """Median seconds of clustering, visibility and shading, after one round that compiles; the irradiance, and its solver."""
+    seconds = []
+    for _ in range(repeats + 1):
+        solver = FuzzyClustering(compensation=GATHER, bounces=BOUNCES, **setting)
+        begin = time.perf_counter()
+        solver.prepare(lit.tables, lit.vpls, lit.points)
+        irradiance = solver.irradiance(lit.points)
+        seconds.append(time.perf_counter() - begin)
+    return statistics.median(seconds[1:]), irradiance, solver
+
+
+def _row(case: str, value: float, unit: str, peer: float | None, ratio: float | None, facts: dict) -> dict:
+    row = {"suite": "fuzzy", "case": case, "value": value, "unit": unit} | facts
+    return row if peer is None else row | {"peer_value": peer, "ratio": ratio}
