@@ -10,7 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..clustering import Clustering, FuzzyAssignment, PointBlocks, VplClusters, cluster_vpls, fuzzy_assign, kmeans, point_blocks
+from ..clustering import (
+    Clustering,
+    FuzzyAssignment,
+    PointBlocks,
+    VplClusters,
+    cluster_vpls,
+    fuzzy_assign,
+    kmeans,
+    point_blocks,
+    sum_by_cluster,
+)
 from ..particles import Vpls
 from ..rays.order import morton_order
 from ..scene import TRANSPARENT
@@ -25,7 +35,12 @@ SHADE_WITH = ("vpls", "clusters")
 CLUSTERS_A_CHUNK = 256  # neighbours, so that a light's rays to their representatives are coherent
 POINTS_A_CHUNK = 1024
 VISIBILITY_BYTES = 1 << 26  # of visibility in memory at once
-SPREAD = 9  # clusters over which the light that the clamp took is spread, for it is noisy
+# The light that the clamp took is noisy: it is spread over this many clusters, and what exceeds OUTLIER times the mean
+# of the COARSE clusters around over all of those.
+SPREAD = 9
+COARSE = 64
+OUTLIER = 2.0
+BROAD_FUZZINESS = 6
 _TRAINING = 4  # training points a cluster
 _ITERATIONS = 3
 
@@ -178,10 +193,22 @@ class FuzzyClustering:
 
         self.rays += sum(run_chunks(gather, len(lost), POINTS_A_CHUNK, self.threads))
         means = lost.reshape(-1, self.compensation, 3).mean(axis=1)
-        near = self._blend_over(view.representatives.position, view.representatives.ns, view.representatives, SPREAD, "plain")
-        weights = near.weights * view.sizes[near.indices]
-        means = np.einsum("cf,cfk->ck", weights, means[near.indices]) / weights.sum(axis=1)[:, None]
-        self._add_blend(means, out)
+        self._add_blend(self._smoothed(means), out)
+
+    def _smoothed(self, values: np.ndarray) -> np.ndarray:
+        """Noisy values (C, 3) of the clusters, spread over their neighbours; what stands far out is spread further, so that it is not lost."""
+        at, sizes = self.view.representatives, self.view.sizes[:, None]
+        coarse = kmeans(at.position, at.ns, max(1, len(values) // COARSE), seed=self.seed, threads=self.threads)
+        broad = self._blend_over(at.position, at.ns, at.take(coarse.representatives), BROAD_FUZZINESS, "smooth")
+        near = self._blend_over(at.position, at.ns, at, SPREAD, "plain")
+
+        def broadly(v):
+            return _blended(sum_by_cluster(v * sizes, coarse) / sum_by_cluster(sizes, coarse), broad.indices, broad.weights)
+
+        kept = values * np.minimum(1, OUTLIER * broadly(values).sum(axis=1) / np.maximum(values.sum(axis=1), 1e-30))[:, None]
+        smooth = _blended(kept, near.indices, near.weights * sizes[near.indices, 0]) + broadly(values - kept)
+        # Blends hold means up to a per cent or so: the sum over all points stays what it was.
+        return smooth * ((values * sizes).sum(axis=0) / np.maximum((smooth * sizes).sum(axis=0), 1e-30))
 
     def _add_blend(self, values: np.ndarray, out: np.ndarray) -> None:
         """Adds the fuzzy blend of the clusters' values (C, D) to out (N, D)."""
@@ -228,6 +255,11 @@ def _by_cluster(clustering: Clustering, order: np.ndarray) -> np.ndarray:
     rank[-1] = -1  # of the points without a cluster, whose assignment is -1 too
     place = rank[clustering.assignment]
     return np.argsort(place, kind="stable")[np.count_nonzero(place < 0) :]
+
+
+def _blended(values: np.ndarray, indices: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Weighted means (N, D) of values (C, D) at indices (N, F)."""
+    return np.einsum("nf,nfd->nd", weights, values[indices]) / weights.sum(axis=1)[:, None]
 
 
 def _part(progress: Progress | None, begin: float, length: float) -> Progress | None:

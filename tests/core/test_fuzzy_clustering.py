@@ -267,3 +267,18 @@ def test_kmeans_gives_every_point_its_own_cluster():
     points = floor_points(300)
     clustering = kmeans(points.position, points.ns, 1000)
     assert np.array_equal(np.sort(clustering.representatives), np.arange(300))
+
+
+def test_smoothing_keeps_the_light_and_spreads_what_stands_out(room):
+    points = floor_points(3000)
+    solver = FuzzyClustering(vpl_clusters=20, point_clusters=400, compensation=0)
+    solver.prepare(room, ceiling_vpls(50), points)
+    solver.irradiance(points)
+    sizes = solver.view.sizes[:, None]
+    values = np.random.default_rng(0).exponential(1, (len(sizes), 3))
+    values[100] = 300
+    smooth = solver._smoothed(values)
+    assert (smooth * sizes).sum(axis=0) == pytest.approx((values * sizes).sum(axis=0))
+    assert smooth.max() < 30 and smooth.min() >= 0
+    assert np.allclose(solver._smoothed(np.full_like(values, 2.5)), 2.5)
+    assert not solver._smoothed(np.zeros_like(values)).any()
