@@ -8,6 +8,11 @@ fair sample.
 Shading normals: light that arrives is weighed with |ns.w| / |ng.w| (Veach 1997, section 5.3), and light that
 leaves is cosine-distributed about the geometric normal, which together is the exact adjoint of what a path
 tracer computes with shading normals.
+
+Glossy surfaces: at each hit a particle is reflected by the diffuse or by the glossy lobe, drawn by their albedos for the
+light's own direction, and flies on as that lobe sends it.  A glossy reflection leaves a VPL that shines about the
+direction drawn from the lobe: all of them together shine as the lobe does, blurred by a cosine, with its energy.
+Only diffuse reflections count as bounces, as in Cycles; the first surface that a lamp lights is free in any case.
 """
 
 from __future__ import annotations
@@ -17,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import kernel
+from .jit import kernel, leaf
 from .lamps.emission import emit
 from .rays.offsets import hit_point, offset_origin
 from .rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
@@ -25,8 +30,9 @@ from .rays.trace import ALL, intersect_packet
 from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
-from .scene import DIFFUSE, SHADOW, TRANSPARENT
-from .surfaces.layout import SURFACE, TRANSPARENCY, total_albedo_average
+from .scene import DIFFUSE, GLOSSY_LOBE, SHADOW, TRANSPARENT
+from .surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSPARENCY, scattered_albedos
+from .surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
 from .surfaces.normals import shading_normal
 from .surfaces.program import MEAN_VIEW, evaluate, new_registers
 from .threads import Progress, run_chunks
@@ -35,6 +41,8 @@ from .transport import Transport
 _EMISSION_DIMENSIONS = 5  # Sobol dimensions that a particle's birth takes
 _MAX_PASSED = 64  # transparent surfaces that one flight passes at most
 _MAX_ADJOINT = np.float32(8.0)  # bound of |ns.w| / |ng.w|: beyond it a smooth normal is far from its triangle
+_MORE_SURFACES = 4  # that a path may meet beyond its diffuse bounces, by glossy reflections
+_0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
 
@@ -42,9 +50,9 @@ class Vpls(NamedTuple):
     """M virtual point lights: small patches that shine with a cosine about their normal.
 
     position: (M, 3) float32.  error: (M,) float32, rounding error of the position (m).  normal: (M, 3) float32,
-    unit geometric normal on the lit side.  flux: (M, 3) float32, W leaving; the irradiance at a point x is
-    flux / pi * cos cos' / r^2.  emitter: (M,) int32, where the light came from.  bounce: (M,) int32, 1 for light
-    that left one surface.
+    unit geometric normal on the lit side, or the direction of a glossy reflection.  flux: (M, 3) float32, W leaving (what
+    the surface itself hides of a glossy reflection included); the irradiance at a point x is flux / pi * cos cos' / r^2.
+    emitter: (M,) int32, where the light came from.  bounce: (M,) int32, 1 for light that left one surface.
     """
 
     position: np.ndarray
@@ -70,9 +78,32 @@ class Vpls(NamedTuple):
         return Vpls(*(np.concatenate(arrays) for arrays in zip(*parts))) if parts else Vpls.allocate(0)
 
 
+@leaf
+def _reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2):
+    """A direction drawn from the glossy lobe for light along d -> (direction, weights whose mean is the albedo).
+
+    s, g: shading and geometric normal on the lit side.  lobe: (LOBE,) float32, scratch.
+    """
+    set_lobe(
+        lobe, sx, sy, sz, gx, gy, gz, -dx, -dy, -dz, surface[ROUGHNESS],
+        surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2],
+        surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2],
+    )  # fmt: skip
+    if not lobe[ALPHA] > _0:
+        return gx, gy, gz, _0, _0, _0
+    wx, wy, wz, r, g, b, _ = sample_lobe(lobe, u1, u2)
+    cos_g, cos_s = gx * wx + gy * wy + gz * wz, sx * wx + sy * wy + sz * wz
+    if not (cos_g > _0 and cos_s > _0):
+        return gx, gy, gz, _0, _0, _0
+    adjoint = min(_MAX_ADJOINT, cos_g / cos_s)
+    return wx, wy, wz, adjoint * r, adjoint * g, adjoint * b
+
+
 @kernel
-def _trace_particles(scene, begin, end, survivors, seed, vpls):
-    """Fly the particles begin..end-1. survivors: (B,) int64, how many of all fly to bounce 0..B-1.
+def _trace_particles(scene, begin, end, survivors, bounces, seed, vpls):
+    """Fly the particles begin..end-1. survivors: (L,) int64, how many of all fly to surface 0..L-1.
+
+    bounces: diffuse reflections of a path at most, that of its first surface counted even if it is glossy.
 
     Writes VPLs (their flux still times the number of particles); returns their number, the rays traced, and
     the sum and count of the albedos met (for rho).
@@ -86,6 +117,8 @@ def _trace_particles(scene, begin, end, survivors, seed, vpls):
     emitter = np.empty(WIDTH, np.int32)
     near = np.empty(WIDTH, np.float32)
     flying = np.empty(WIDTH, np.bool_)
+    scattered = np.empty(WIDTH, np.int32)  # diffuse reflections so far, and one for the first surface in any case
+    lobe = np.zeros(LOBE, np.float32)
     n = 0
     n_rays = 0
     albedo_sum = 0.0
@@ -101,6 +134,7 @@ def _trace_particles(scene, begin, end, survivors, seed, vpls):
             direction[lane, 0], direction[lane, 1], direction[lane, 2] = dx, dy, dz
             flux[lane, 0], flux[lane, 1], flux[lane, 2] = r, g, b
             flying[lane] = emitter[lane] >= 0 and max(r, g, b) > 0
+            scattered[lane] = 0
         for bounce in range(len(survivors)):
             landed_any = False
             for lane in range(WIDTH):
@@ -170,33 +204,53 @@ def _trace_particles(scene, begin, end, survivors, seed, vpls):
                         cos_g = -cos_g
                     cos_s = sx * dx + sy * dy + sz * dz
                     adjoint = min(_MAX_ADJOINT, max(np.float32(0.0), cos_s / cos_g)) if cos_g < 0 else np.float32(0.0)
-                    ar, ag, ab = total_albedo_average(surface)
-                    albedo_sum += (ar + ag + ab) / 3.0
+                    i = base + lane
+                    d = _EMISSION_DIMENSIONS + 2 * bounce
+                    if d + 1 < 16:
+                        u1, u2 = sobol(i, d, seed), sobol(i, d + 1, seed)
+                    else:
+                        u1, u2 = uniform(seed, i, bounce, 0), uniform(seed, i, bounce, 1)
+                    dr, dg, db, fr, fg, fb = scattered_albedos(surface, abs(cos_s))
+                    total = dr + dg + db + fr + fg + fb
+                    albedo_sum += total / 3.0
                     albedo_count += 1
-                    r, g, b = flux[lane, 0] * ar * adjoint, flux[lane, 1] * ag * adjoint, flux[lane, 2] * ab * adjoint
+                    chance = (fr + fg + fb) / max(total, np.float32(1e-12))
+                    glossy = uniform(seed, i, bounce, 2) < chance
+                    if not glossy or bounce == 0:
+                        scattered[lane] += 1
+                    if scattered[lane] > bounces:
+                        flying[lane] = False
+                        continue
+                    lit = _1
+                    if glossy:
+                        wx, wy, wz, r, g, b = _reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2)
+                        r, g, b = r / chance, g / chance, b / chance
+                        # About w, a cosine is cut off by the surface; what is left has the light of all of it.
+                        lit = np.float32(2.0) / (_1 + gx * wx + gy * wy + gz * wz)
+                    else:
+                        lx, ly, lz = cosine_hemisphere(u1, u2)
+                        wx, wy, wz = to_world(lx, ly, lz, gx, gy, gz)
+                        r, g, b = dr / (_1 - chance), dg / (_1 - chance), db / (_1 - chance)
+                    r, g, b = flux[lane, 0] * adjoint * r, flux[lane, 1] * adjoint * g, flux[lane, 2] * adjoint * b
                     if not max(r, g, b) > 0:
                         flying[lane] = False
                         continue
+                    ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, wx, wy, wz)
+                    if glossy:
+                        # Shadow rays move it along w alone, which may graze the surface.
+                        x, y, z, gx, gy, gz = ox, oy, oz, wx, wy, wz
                     vpls.position[n, 0], vpls.position[n, 1], vpls.position[n, 2] = x, y, z
                     vpls.normal[n, 0], vpls.normal[n, 1], vpls.normal[n, 2] = gx, gy, gz
-                    vpls.flux[n, 0], vpls.flux[n, 1], vpls.flux[n, 2] = r, g, b
+                    vpls.flux[n, 0], vpls.flux[n, 1], vpls.flux[n, 2] = r * lit, g * lit, b * lit
                     vpls.error[n] = error
                     vpls.emitter[n] = emitter[lane]
                     vpls.bounce[n] = bounce + 1
                     n += 1
-                    i = base + lane
                     if bounce + 1 < len(survivors) and i < survivors[bounce + 1]:
                         more = np.float32(survivors[bounce] / survivors[bounce + 1])
                         flux[lane, 0], flux[lane, 1], flux[lane, 2] = r * more, g * more, b * more
-                        d = _EMISSION_DIMENSIONS + 2 * bounce
-                        if d + 1 < 16:
-                            u1, u2 = sobol(i, d, seed), sobol(i, d + 1, seed)
-                        else:
-                            u1, u2 = uniform(seed, i, bounce, 0), uniform(seed, i, bounce, 1)
-                        lx, ly, lz = cosine_hemisphere(u1, u2)
-                        wx, wy, wz = to_world(lx, ly, lz, gx, gy, gz)
                         direction[lane, 0], direction[lane, 1], direction[lane, 2] = wx, wy, wz
-                        origin[lane, 0], origin[lane, 1], origin[lane, 2] = offset_origin(x, y, z, gx, gy, gz, error, wx, wy, wz)
+                        origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
                     else:
                         flying[lane] = False
                 passed += 1
@@ -214,15 +268,17 @@ def trace_particles(
     chunk = 1024
     probe = min(particles, chunk)
     room = Vpls.allocate(probe)
-    _, n_rays, albedo_sum, albedo_count = _trace_particles(scene, 0, probe, np.array([probe], np.int64), np.uint32(seed), room)
+    seed = np.uint32(seed)
+    _, n_rays, albedo_sum, albedo_count = _trace_particles(scene, 0, probe, np.array([probe], np.int64), 1, seed, room)
     if albedo_count == 0 or bounces < 1:
         return Vpls.allocate(0), n_rays
     rho = min(max(albedo_sum / albedo_count, 0.05), 1.0)
-    survivors = np.array([max(math.floor(rho**j * particles), min(particles, 16)) for j in range(bounces)], np.int64)
+    surfaces = bounces + (_MORE_SURFACES if (scene.materials.flags & GLOSSY_LOBE).any() else 0)
+    survivors = np.array([max(math.floor(rho**j * particles), min(particles, 16)) for j in range(surfaces)], np.int64)
 
     def work(begin, end):
-        room = Vpls.allocate((end - begin) * bounces)
-        n, rays, _, _ = _trace_particles(scene, begin, end, survivors, np.uint32(seed), room)
+        room = Vpls.allocate((end - begin) * surfaces)
+        n, rays, _, _ = _trace_particles(scene, begin, end, survivors, bounces, seed, room)
         return room.take(slice(0, n)), rays
 
     parts = run_chunks(work, particles, chunk, threads, progress)

@@ -183,8 +183,8 @@ def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end):
 
 
 @leaf
-def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
-    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2; its mean is exact.
+def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
+    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, and the cosine of its light; the mean is exact.
 
     For the tails of paths: random numbers are hashed from (seed, path, dimension, 0..3).
     scene: Transport.  packet, rows, surface: scratch.  g, s: geometric and shading normal, on the lit side.
@@ -205,7 +205,7 @@ def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, g
                 u = (u - p) / (_1 - p)
             u = min(u, np.float32(0.99999994))
     if chosen < 0:
-        return _0, _0, _0
+        return _0, _0, _0, _0
     e, probability = emitters.groups[chosen], _1
     if e < 0:
         tree = emitters.tree
@@ -213,19 +213,26 @@ def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, g
             tree.nodes, tree.two_sided, tree.children, tree.root, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 1)
         )
         if e < 0:
-            return _0, _0, _0
+            return _0, _0, _0, _0
     dx, dy, dz, t, r, g, b, u, v = sample_emitter(
         emitters, e, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 2), uniform(seed, path, dimension, 3), rows, surface
     )
     cosine = sx * dx + sy * dy + sz * dz
     if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
-        return _0, _0, _0
+        return _0, _0, _0, _0
     w = cosine * total / (chosen_estimate * probability)
     if emitters.flags[e] & CASTS_SHADOW:
         ox, oy, oz, dx, dy, dz, end = shadow_ray(scene, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t)
         tr, tg, tb = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end)
         r, g, b = r * tr, g * tg, b * tb
-    return w * r, w * g, w * b
+    return w * r, w * g, w * b, cosine
+
+
+@leaf
+def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
+    """The irradiance of `direct_sample_at`."""
+    r, g, b, _ = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension)
+    return r, g, b
 
 
 @kernel

@@ -28,7 +28,6 @@ from ..surfaces.layout import (
     SURFACE,
     diffuse_albedo,
     glossy_albedo,
-    total_albedo_average,
 )
 from ..surfaces.lobes import LOBE, NEGLIGIBLE, reflection_count, sample_lobe
 from ..surfaces.normals import shading_normal
@@ -36,13 +35,13 @@ from ..surfaces.program import evaluate, new_registers, reflected_view
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .tails import nearest_surface, tail_irradiance
+from .tails import nearest_surface, tail_light
 
 CHUNK = 512  # points a chunk
 BLOCK = 65536  # points whose reflections are followed together: bounds the memory
 MAX_REFLECTIONS = 32  # from mirror to mirror
 _SURE = 3  # reflections after which chance ends dim paths
-# Rougher surfaces that a reflection shows count as diffuse, with the albedo of all of their lobes.
+# Rougher surfaces that a reflection shows are lit as diffuse ones are.
 _NARROW = np.float32(0.35)
 _SEED = 0x9E3779B9  # sets these rays apart from those of other stages
 _0 = np.float32(0.0)
@@ -181,22 +180,23 @@ def _reflect_chunk(scene, points, owner, begin, end, samples, most, roulette, se
                     continue
                 wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
             mirror[n_hits] = 0
+            ar, ag, ab = diffuse_albedo(surface, cosine)
+            kr, kg, kb = wr, wg, wb  # of the lobe that the hit keeps
             if narrow:
-                ar, ag, ab = diffuse_albedo(surface, cosine)
                 fr, fg, fb = glossy_albedo(surface, cosine)
                 chance = (fr + fg + fb) / max(fr + fg + fb + ar + ag + ab, np.float32(1e-6))
                 mirror[n_hits] = uniform(key, index, 1, 1) < chance
-                rest = _1 / chance if mirror[n_hits] else _1 / (_1 - chance)
-                wr, wg, wb = wr * rest, wg * rest, wb * rest
-            else:
-                ar, ag, ab = total_albedo_average(surface)
-            if mirror[n_hits]:
-                ar = ag = ab = _0
-                hits.f0[n_hits, 0], hits.f90[n_hits, 0] = wr * surface[GLOSSY_F0], wr * surface[GLOSSY_F90]
-                hits.f0[n_hits, 1], hits.f90[n_hits, 1] = wg * surface[GLOSSY_F0 + 1], wg * surface[GLOSSY_F90 + 1]
-                hits.f0[n_hits, 2], hits.f90[n_hits, 2] = wb * surface[GLOSSY_F0 + 2], wb * surface[GLOSSY_F90 + 2]
-            elif not max(wr * ar, wg * ag, wb * ab) > _0:
+                if mirror[n_hits]:
+                    kr, kg, kb = wr / chance, wg / chance, wb / chance
+                    ar = ag = ab = _0
+                else:
+                    kr = kg = kb = _0
+                    ar, ag, ab = ar / (_1 - chance), ag / (_1 - chance), ab / (_1 - chance)
+            if not max(kr, kg, kb, ar, ag, ab) > _0:
                 continue
+            hits.f0[n_hits, 0], hits.f90[n_hits, 0] = kr * surface[GLOSSY_F0], kr * surface[GLOSSY_F90]
+            hits.f0[n_hits, 1], hits.f90[n_hits, 1] = kg * surface[GLOSSY_F0 + 1], kg * surface[GLOSSY_F90 + 1]
+            hits.f0[n_hits, 2], hits.f90[n_hits, 2] = kb * surface[GLOSSY_F0 + 2], kb * surface[GLOSSY_F90 + 2]
             hits.albedo[n_hits, 0], hits.albedo[n_hits, 1], hits.albedo[n_hits, 2] = wr * ar, wg * ag, wb * ab
             hits.position[n_hits, 0], hits.position[n_hits, 1], hits.position[n_hits, 2] = px, py, pz
             hits.ng[n_hits, 0], hits.ng[n_hits, 1], hits.ng[n_hits, 2] = hx, hy, hz
@@ -279,8 +279,8 @@ def reflect(
             mirrors = further
             total += rays + drawn
         hits = ShadingPoints.concatenate(lit)
-        irradiance = tail_irradiance(scene, hits, bounces + 1, key, threads)
-        _add(indirect[block], hits.pixel, hits.albedo * irradiance * np.float32(1 / np.pi))
+        light = tail_light(scene, hits, bounces + 1, key, threads)
+        _add(indirect[block], hits.pixel, light * np.float32(1 / np.pi))
         if progress is not None and not progress(block.stop / n):
             raise Cancelled
     return direct, indirect, total

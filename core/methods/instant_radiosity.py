@@ -17,14 +17,15 @@ from ..rays.trace import ALL, intersect_packet
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..sampling.sequences import r2
 from ..scene import DIFFUSE, TRANSPARENT
-from ..surfaces.layout import SURFACE, total_albedo_average
+from ..surfaces.layout import SURFACE
+from ..surfaces.lobes import LOBE
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..surfaces.visibility import shadow_packet
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .tails import nearest_surface, path_irradiance
+from .tails import nearest_surface, path_light
 
 CHUNK = 256  # points a chunk: neighbours in the picture, so that a VPL's rays to them are coherent
 _0 = np.float32(0.0)
@@ -109,6 +110,7 @@ def compensate(scene, points, begin, end, g_max, samples, bounces, seed, out):
     """
     packet = new_packet()
     surface = np.zeros(SURFACE, np.float32)
+    lobe = np.zeros(LOBE, np.float32)
     rows = new_registers(scene.materials)
     direction = np.empty((WIDTH, 3), np.float32)
     found = np.empty(WIDTH, np.int32)
@@ -163,8 +165,6 @@ def compensate(scene, points, begin, end, g_max, samples, bounces, seed, out):
                     evaluate(
                         scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface
                     )
-                ar, ag, ab = total_albedo_average(surface)
-                wr, wg, wb = wr * ar, wg * ag, wb * ab
                 x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
                 sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                 cos_y = -(gx * dx + gy * dy + gz * dz)
@@ -177,7 +177,9 @@ def compensate(scene, points, begin, end, g_max, samples, bounces, seed, out):
                 if g <= g_max or not max(wr, wg, wb) > 0:
                     continue
                 w = (g - g_max) / g * share
-                er, eg, eb = path_irradiance(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, bounces, seed, path)
+                er, eg, eb = path_light(
+                    scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, bounces, seed, path
+                )
                 out[k, 0] += w * wr * er
                 out[k, 1] += w * wg * eg
                 out[k, 2] += w * wb * eb

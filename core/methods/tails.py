@@ -1,8 +1,11 @@
 """Paths from the camera's side: what light leaves the surface that a gather ray meets.
 
 VPLs cannot serve surfaces that are close to each other (their geometry term is clamped); there, and for
-glossy reflections, a short path tracer continues from the hit: direct light at every surface, a cosine
-ray to the next one.  Unbiased, and never blind to contact.
+glossy reflections, a short path tracer continues from the hit: direct light at every surface, a ray drawn from its
+diffuse or its glossy lobe to the next one.  Never blind to contact.
+
+Of the lamps' light a glossy lobe reflects its true share, but spread as by a diffuse one: a path that finds a small lamp
+in a narrow lobe by chance would be all noise.
 """
 
 from __future__ import annotations
@@ -10,14 +13,16 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel, leaf
-from ..lamps.direct import direct_irradiance_at
+from ..lamps.direct import direct_sample_at
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
 from ..rays.trace import ALL, intersect1
 from ..sampling.hashing import uniform
 from ..sampling.maps import cosine_hemisphere, to_world
-from ..scene import DIFFUSE, TRANSPARENT
-from ..surfaces.layout import SURFACE, TRANSPARENCY, total_albedo_average
+from ..scene import DIFFUSE, GLOSSY, TRANSPARENT
+from ..surfaces import layout
+from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo, glossy_rise
+from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, sample_lobe, set_lobe
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..threads import run_chunks
@@ -28,6 +33,8 @@ CHUNK = 1024  # points a chunk
 MAX_PASSED = 64  # transparent surfaces that one ray passes at most
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
+_THIRD = np.float32(1 / 3)
+_MORE_SURFACES = 8  # that a path may meet beyond its diffuse bounces, by glossy reflections
 
 # Dimensions of the hash for one vertex of a path.
 DIMENSIONS = 100
@@ -60,65 +67,98 @@ def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach,
 
 
 @leaf
-def path_irradiance(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, bounces, seed, path):
-    """One sample of the irradiance at a point: direct light, and light over up to `bounces` - 1 more surfaces.
+def path_light(
+    scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, bounces, seed, path
+):  # fmt: skip
+    """One sample of pi times the radiance that a surface sends towards w: direct light, and light of further surfaces.
 
-    (x, y, z), error, g, s: the point, its rounding error, its normals on the side that is looked at.
-    Returns (r, g, b) in W/m^2; its mean is exact.
+    (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
+    overwritten.  bounces: diffuse reflections at most; the first one after a lamp counts even if it is glossy.
+    lobe: (LOBE,) float32, scratch.
+
+    Returns (r, g, b) in W/m^2.
     """
     er = eg = eb = _0
     wr = wg = wb = _1
-    for vertex in range(bounces):
-        r, g, b = direct_irradiance_at(
-            scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, vertex * DIMENSIONS
-        )
-        er, eg, eb = er + wr * r, eg + wg * g, eb + wb * b
-        if vertex + 1 == bounces:
+    left = bounces - 1
+    for vertex in range(bounces + _MORE_SURFACES):
+        at = vertex * DIMENSIONS
+        cosine = min(_1, abs(sx * wx + sy * wy + sz * wz))
+        dr, dg, db = diffuse_albedo(surface, cosine)
+        roughness = surface[ROUGHNESS]
+        f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
+        f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]
+        r, g, b, cosine = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, at)
+        rise = glossy_rise(cosine, roughness)
+        er += wr * r * (dr + f0r + rise * (f90r - f0r))
+        eg += wg * g * (dg + f0g + rise * (f90g - f0g))
+        eb += wb * b * (db + f0b + rise * (f90b - f0b))
+        set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b)
+        glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
+        diffuse = _THIRD * (dr + dg + db) if left > 0 else _0
+        if not glossy + diffuse > _0:
             break
-        if vertex >= 1:  # russian roulette by what the path still carries
-            go_on = min(np.float32(0.95), max(wr, wg, wb))
-            if uniform(seed, path, vertex * DIMENSIONS, 5) >= go_on:
+        chance = glossy / (glossy + diffuse)
+        u1, u2 = uniform(seed, path, at, 6), uniform(seed, path, at, 7)
+        kinds = GLOSSY
+        if uniform(seed, path, at, 4) < chance:
+            dx, dy, dz, r, g, b, _ = sample_lobe(lobe, u1, u2)
+        else:
+            lx, ly, lz = cosine_hemisphere(u1, u2)
+            dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
+            r, g, b = dr, dg, db
+            chance = _1 - chance
+            kinds = DIFFUSE
+            left -= 1
+        wr, wg, wb = wr * r / chance, wg * g / chance, wb * b / chance
+        go_on = min(_1, max(wr, wg, wb))
+        if not go_on > _0 or gx * dx + gy * dy + gz * dz <= _0:
+            break
+        if vertex > 0:  # russian roulette by what the path still carries
+            go_on = min(np.float32(0.95), go_on)
+            if uniform(seed, path, at, 5) >= go_on:
                 break
             wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
-        lx, ly, lz = cosine_hemisphere(uniform(seed, path, vertex * DIMENSIONS, 6), uniform(seed, path, vertex * DIMENSIONS, 7))
-        dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
-        if gx * dx + gy * dy + gz * dz <= 0:
-            break
         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
         triangle, u, v, _, r, g, b = nearest_surface(
-            scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, vertex * DIMENSIONS + 8
+            scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), kinds, seed, path, at + 8
         )
         if triangle < 0:
             break
-        ar, ag, ab = total_albedo_average(surface)
-        wr, wg, wb = wr * r * ar, wg * g * ag, wb * b * ab
-        if not max(wr, wg, wb) > 0:
-            break
+        wr, wg, wb = wr * r, wg * g, wb * b
         x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
         if gx * dx + gy * dy + gz * dz > 0:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+        wx, wy, wz = -dx, -dy, -dz
     return er, eg, eb
 
 
 @kernel
-def _tail_chunk(scene, position, error, ng, ns, begin, end, bounces, seed, out):
+def _tail_chunk(scene, points, begin, end, bounces, seed, out):
     packet = new_packet()
     rows = new_registers(scene.materials)
     surface = np.zeros(SURFACE, np.float32)
+    lobe = np.zeros(LOBE, np.float32)
     for i in range(begin, end):
-        out[i, 0], out[i, 1], out[i, 2] = path_irradiance(
-            scene, packet, rows, surface, position[i, 0], position[i, 1], position[i, 2], error[i],
-            ng[i, 0], ng[i, 1], ng[i, 2], ns[i, 0], ns[i, 1], ns[i, 2], bounces, seed, np.uint32(i),
+        surface[:] = _0
+        for c in range(3):
+            surface[layout.DIFFUSE + c] = points.albedo[i, c]
+            surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c] = points.f0[i, c], points.f90[i, c]
+        surface[ROUGHNESS] = points.roughness[i]
+        out[i, 0], out[i, 1], out[i, 2] = path_light(
+            scene, packet, rows, surface, lobe, points.position[i, 0], points.position[i, 1], points.position[i, 2], points.error[i],
+            points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
+            points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], bounces, seed, np.uint32(i),
         )  # fmt: skip
 
 
-def tail_irradiance(scene: Transport, points: ShadingPoints, bounces: int, seed: int, threads: int = 0) -> np.ndarray:
-    """One sample of `path_irradiance` at each of N points, (N, 3) float32 W/m^2."""
+def tail_light(scene: Transport, points: ShadingPoints, bounces: int, seed: int, threads: int = 0) -> np.ndarray:
+    """One sample of `path_light` at each of N points towards their viewers, (N, 3) float32 W/m^2."""
     out = np.zeros((len(points.pixel), 3), np.float32)
 
     def work(begin, end):
-        _tail_chunk(scene, points.position, points.error, points.ng, points.ns, begin, end, bounces, np.uint32(seed), out)
+        _tail_chunk(scene, points, begin, end, bounces, np.uint32(seed), out)
 
     run_chunks(work, len(out), CHUNK, threads)
     return out

@@ -59,9 +59,15 @@ def diffuse_albedo_average(surface):
 
 
 @inlined
+def glossy_rise(cosine, roughness):
+    """How far a glossy albedo at `cosine` has risen from `GLOSSY_F0` to `GLOSSY_F90`."""
+    return ggx.fresnel_rise(_GLOSSY_Z, cosine, roughness)
+
+
+@inlined
 def glossy_albedo(surface, cosine):
     """Glossy albedo (r, g, b) for a view at `cosine`."""
-    s = ggx.fresnel_rise(_GLOSSY_Z, cosine, surface[ROUGHNESS])
+    s = glossy_rise(cosine, surface[ROUGHNESS])
     return (
         surface[GLOSSY_F0] + s * (surface[GLOSSY_F90] - surface[GLOSSY_F0]),
         surface[GLOSSY_F0 + 1] + s * (surface[GLOSSY_F90 + 1] - surface[GLOSSY_F0 + 1]),
@@ -89,3 +95,15 @@ def total_albedo_average(surface):
     dr, dg, db = diffuse_albedo_average(surface)
     gr, gg, gb = glossy_albedo_average(surface)
     return min(dr + gr, F(1)), min(dg + gg, F(1)), min(db + gb, F(1))
+
+
+@inlined
+def scattered_albedos(surface, cosine):
+    """Diffuse and glossy albedo (dr, dg, db, gr, gg, gb) of light that arrives at `cosine` and may leave anywhere.
+
+    Together at most 1 in every channel (see `total_albedo_average`).
+    """
+    dr, dg, db = diffuse_albedo_average(surface)
+    gr, gg, gb = glossy_albedo(surface, cosine)
+    scale = F(1) / max(F(1), dr + gr, dg + gg, db + gb)
+    return scale * dr, scale * dg, scale * db, scale * gr, scale * gg, scale * gb

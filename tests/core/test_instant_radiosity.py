@@ -10,6 +10,7 @@ from lumigate.core.particles import Vpls, trace_particles
 from lumigate.core.pipeline import render
 from lumigate.core.rays import RayScene
 from lumigate.core.settings import RenderSettings
+from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS
 from lumigate.core.transport import transport
 from lumigate.core.view.points import ShadingPoints
 
@@ -47,6 +48,74 @@ def test_sphere_interior(sphere, bounces):
     layers = render(sphere, settings).layers
     expected = np.pi * sum(0.5**k for k in range(1, bounces + 1))
     assert layers["Irradiance"].mean() == pytest.approx(expected, rel=0.005)
+
+
+def glossy_materials(build, *surfaces, albedo, roughness):
+    """The materials of `build`, each with a glossy lobe of one albedo from every side."""
+    stuff = build.materials(*surfaces)
+    stuff.tables.constant[:, GLOSSY_F0 : GLOSSY_F0 + 3] = stuff.tables.constant[:, GLOSSY_F90 : GLOSSY_F90 + 3] = albedo
+    stuff.tables.constant[:, ROUGHNESS] = roughness
+    stuff.tables.flags[:] |= sc.GLOSSY_LOBE
+    return stuff
+
+
+@pytest.mark.parametrize("roughness", [0.05, 0.6])
+@pytest.mark.parametrize("bounces", [1, 4])
+def test_glossy_sphere_interior(build, bounces, roughness):
+    # Diffuse albedo d and glossy albedo g: only diffuse reflections count, so that m of them stand for the sum
+    # over all numbers of glossy ones between them, d^m / (1 - g)^(m + 1), times d + g for the first after the light.
+    d, g = 0.4, 0.2
+    scene = build.scene(
+        build.geometry(*build.icosphere(4)),
+        glossy_materials(build, (d, 1.0), albedo=g, roughness=roughness),
+        camera=build.camera(width=24, height=24),
+    )
+    pictures = [render(scene, RenderSettings(vpls=1024, bounces=bounces, pixel_samples=1, seed=seed)).layers for seed in range(4)]
+    irradiance, glossy = (np.mean([layers[name] for layers in pictures]) for name in ("Irradiance", "GlossyIndirect"))
+    terms = [(d + g) * d**m / (1 - g) ** (m + 1) for m in range(bounces + 1)]
+    assert irradiance == pytest.approx(np.pi * sum(terms[:bounces]), rel=0.01)
+    assert glossy == pytest.approx(g * sum(terms), rel=0.06)  # a path a ray: noisy
+
+
+def sun(direction, irradiance):
+    """Parallel light that falls along `direction`."""
+    z = -np.asarray(direction, float) / np.linalg.norm(direction)
+    x = np.cross((0.3, 1, 0.2), z)
+    x /= np.linalg.norm(x)
+    f = np.float32
+    return sc.Lamps(
+        np.array([sc.SUN], np.int32), np.zeros((1, 3), f), np.stack([x, np.cross(z, x), z])[None].astype(f), np.full((1, 3), irradiance, f),
+        np.zeros(1, f), np.zeros(1, np.uint8), np.zeros(1, f), np.zeros(1, f), np.zeros((1, 2), f),
+        np.zeros(1, np.int32), np.full(1, sc.ALL_RAYS, np.uint8), np.ones(1, np.uint8), ["Sun"], [""],
+    )  # fmt: skip
+
+
+def test_a_glossy_floor_sends_light_onwards(build):
+    # A mirror floor of reflectance .8 in slanting sunlight: all of it goes the mirrored way, and none is lost.
+    floor = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
+    slant = np.array([np.sin(1.0), 0, -np.cos(1.0)])
+    scene = build.scene(
+        build.geometry(*build.quads(floor)), glossy_materials(build, (0.0, 0.0), albedo=0.8, roughness=0.0), lamps=sun(slant, 2.0)
+    )
+    tables, rays = tables_of(scene)
+    with rays:
+        vpls, _ = trace_particles(tables, 4096, 2, seed=1)
+        # Irradiance that the lights give to a large dome over the floor.
+        u = (np.arange(400) + 0.5) / 400
+        up, turn = np.meshgrid(u, 2 * np.pi * u[::4], indexing="ij")
+        out = np.stack([np.sqrt(1 - up**2) * np.cos(turn), np.sqrt(1 - up**2) * np.sin(turn), up], -1).reshape(-1, 3)
+        points = shading_points(1000 * out, -out)
+        solver = InstantRadiosity(compensation=0)
+        solver.prepare(tables, vpls.take(np.arange(64)), points)
+        lit = solver.irradiance(points)[:, 0]
+    np.testing.assert_allclose(np.median(vpls.normal, axis=0), slant * (1, 1, -1), atol=1e-3)
+    expected = 0.8 * 2.0 * 4 * np.cos(1.0)
+    leaving = (vpls.flux[:, 0] * (1 + vpls.normal[:, 2]) / 2).sum(dtype=float)
+    assert leaving == pytest.approx(expected, rel=0.01)
+    share = vpls.flux[:64, 0].sum(dtype=float) / vpls.flux[:, 0].sum(dtype=float)
+    assert lit.mean() * 2 * np.pi * 1000**2 == pytest.approx(share * expected, rel=0.01)
+    centre = (out * lit[:, None]).sum(0) / lit.sum()
+    assert centre[0] > 0.4  # with a diffuse floor, 0
 
 
 def test_sphere_interior_direct(sphere):
