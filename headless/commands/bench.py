@@ -15,10 +15,11 @@ from ..clustering_bench import clustering_rows
 from ..console import Terminal
 from ..fuzzy_bench import fuzzy_rows
 from ..kernel_bench import ray_rows
+from ..preview_bench import preview_rows
 from ..results import write_json
 
 # Keys as in `arguments.SUITES`.
-ROWS = {"kernels": ray_rows, "clustering": clustering_rows, "fuzzy": fuzzy_rows}
+ROWS = {"kernels": ray_rows, "clustering": clustering_rows, "fuzzy": fuzzy_rows, "previews": preview_rows}
 PACKAGES = ("bpy", "numpy", "numba", "llvmlite", "scipy", "embreex", "OpenImageIO")
 
 
