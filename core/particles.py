@@ -31,7 +31,7 @@ from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
 from .scene import DIFFUSE, GLOSSY_LOBE, SHADOW, TRANSPARENT
-from .surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSPARENCY, scattered_albedos
+from .surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSPARENCY, passing_chance, scattered_albedos
 from .surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
 from .surfaces.normals import shading_normal
 from .surfaces.program import MEAN_VIEW, evaluate, new_registers
@@ -172,7 +172,7 @@ def _trace_particles(scene, begin, end, survivors, bounces, seed, vpls):
                     through = False
                     if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
                         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
-                        chance = min(_1, max(tr, tg, tb))
+                        chance = passing_chance(surface)
                         i = base + lane
                         if uniform(seed, i, bounce, 16 + passed) < chance:
                             flux[lane, 0] *= tr / chance

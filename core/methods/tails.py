@@ -21,7 +21,7 @@ from ..sampling.hashing import uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE, GLOSSY, TRANSPARENT
 from ..surfaces import layout
-from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo, glossy_rise
+from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo, glossy_rise, passing_chance
 from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, sample_lobe, set_lobe
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
@@ -57,7 +57,7 @@ def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach,
         if not scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
             return triangle, u, v, t, r, g, b
         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
-        chance = min(_1, max(tr, tg, tb))
+        chance = passing_chance(surface)
         if uniform(seed, path, dimension, layer) >= chance:
             rest = _1 / (_1 - chance)
             return triangle, u, v, t, r * rest, g * rest, b * rest

@@ -87,6 +87,22 @@ def glossy_albedo_average(surface):
 
 
 @inlined
+def passing_chance(surface):
+    """With what probability a path that samples one of both had better go straight through a surface than end there.
+
+    Any other than 0 is right with the weights transparency / chance and 1 / (1 - chance); this one lets tinted glass,
+    which keeps nothing that could be seen, pass always.
+    """
+    through = max(surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2])
+    kept = F(0)
+    for c in range(3):
+        kept = max(kept, surface[DIFFUSE + c] + max(surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c]))
+        if surface[EMISSION + c] > F(0):
+            kept = F(1)
+    return through / (through + kept) if through > F(0) else F(0)
+
+
+@inlined
 def total_albedo_average(surface):
     """Share of light (r, g, b) that leaves again, diffuse and glossy together, at most 1 per channel.
 

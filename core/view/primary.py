@@ -20,7 +20,7 @@ from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u,
 from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import uniform
 from ..scene import CAMERA, NORMAL_MAPPED, TRANSPARENT, Scene
-from ..surfaces.layout import EMISSION, GLOSSY_F0, GLOSSY_F90, NORMAL, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo
+from ..surfaces.layout import EMISSION, GLOSSY_F0, GLOSSY_F90, NORMAL, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo, passing_chance
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import evaluate, new_registers
 from ..threads import Progress, run_chunks
@@ -152,7 +152,7 @@ def _trace_tile(
                 if materials.flags[material[triangle]] & TRANSPARENT:
                     evaluate(materials, material[triangle], attributes, triangle, u, v, _1, rows, surface)
                     tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
-                    chance = min(np.float32(1.0), max(tr, tg, tb))
+                    chance = passing_chance(surface)
                     number = (ty + lane // TILE) * camera.size[0] + tx + lane % TILE
                     if uniform(seed, number, s, 2 + layer) < chance:
                         weight[lane, s, 0] *= tr / chance

@@ -123,3 +123,14 @@ def test_lamps_are_found_from_every_tile(orthographic):
     expected = expected.reshape(height, fine, width, fine).mean((1, 3))
     assert np.abs(picture.emission[..., 0] - expected).mean() < 0.03 * expected.mean()
     assert picture.emission.mean() == pytest.approx(expected.mean(), rel=0.005)
+
+
+def test_tinted_glass_is_free_of_noise():
+    # A pane that keeps nothing that could be seen lets every ray pass: each pixel has exactly its tint.
+    vertices, triangles = quads(wall(-9), wall(-3))
+    stuff = materials((0.5, 1.0), (0.0, 0.0))
+    stuff.tables.flags[1] |= sc.TRANSPARENT
+    stuff.tables.constant[1, TRANSPARENCY : TRANSPARENCY + 3] = (0.2, 0.4, 0.6)
+    picture = seen(scene(geometry(vertices, triangles, np.repeat([0, 1], 2)), stuff), 4)
+    np.testing.assert_allclose(picture.emission, np.broadcast_to((0.2, 0.4, 0.6), picture.emission.shape), rtol=1e-5)
+    np.testing.assert_allclose(picture.albedo, 0.5 * picture.emission, rtol=1e-5)
