@@ -206,7 +206,7 @@ def _rows_of(configuration: Configuration, lit: LitView, repeats: int, clusters,
             borders[setting["fuzziness"]] = border_energy(lit, irradiance, solver.view.fuzzy.indices[:, 0])
     if 1 in borders:
         rows += [
-            _row(f"{configuration.name}: energy of cluster borders, F = {f} against 1", value, "1", borders[1], borders[1] / value, {})
+            _row(f"{configuration.name}: energy of cluster borders, F = {f} against 1", value, "1", borders[1], borders[1] / abs(value), {})
             for f, value in borders.items()
             if f != 1
         ]
