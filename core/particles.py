@@ -31,7 +31,7 @@ from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
 from .scene import DIFFUSE, GLOSSY_LOBE, SHADOW, TRANSPARENT
-from .surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSPARENCY, passing_chance, scattered_albedos
+from .surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo_average, glossy_albedo, passing_chance
 from .surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
 from .surfaces.normals import shading_normal
 from .surfaces.program import MEAN_VIEW, evaluate, new_registers
@@ -210,7 +210,8 @@ def _trace_particles(scene, begin, end, survivors, bounces, seed, vpls):
                         u1, u2 = sobol(i, d, seed), sobol(i, d + 1, seed)
                     else:
                         u1, u2 = uniform(seed, i, bounce, 0), uniform(seed, i, bounce, 1)
-                    dr, dg, db, fr, fg, fb = scattered_albedos(surface, abs(cos_s))
+                    dr, dg, db = diffuse_albedo_average(surface)
+                    fr, fg, fb = glossy_albedo(surface, min(_1, abs(cos_s)))
                     total = dr + dg + db + fr + fg + fb
                     albedo_sum += total / 3.0
                     albedo_count += 1

@@ -48,7 +48,7 @@ class RenderSettings:
     point_clusters: int = 8000
     fuzziness: int = 6
     weighting: str = "smooth"  # smooth | distance | plain
-    shade_with: str = "vpls"  # vpls | clusters
+    shade_with: str = "clusters"  # clusters | vpls
 
     # importance sampling
     samples: int = 32

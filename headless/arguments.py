@@ -165,7 +165,10 @@ METHOD_OPTIONS: dict[str, tuple[MethodOption, ...]] = {
         MethodOption(
             "--shade-with",
             "shade_with",
-            {"choices": ("vpls", "clusters"), "help": "every VPL with its cluster's visibility, or one light a cluster (default: vpls)"},
+            {
+                "choices": ("clusters", "vpls"),
+                "help": "one light a cluster, or every VPL with its cluster's visibility (default: clusters)",
+            },
         ),
     ),
 }

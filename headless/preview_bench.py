@@ -41,12 +41,13 @@ def preview_rows(scenes=SCENES, size=SIZE, settings=PREVIEW, reference_samples=R
             continue
         scene = open_source(found)
         request = {"spp": reference_samples, "size": size, "bounces": settings.bounces, "seed": 1, "denoise": True}
-        reference = read_exr(cached_reference(scene, scene_identity(found), **request))["Indirect"]
+        reference = read_exr(cached_reference(scene, scene_identity(found), **request))
         ours, peer = _ours(scene, size, settings, repeats), _cycles(scene, size, settings.bounces, repeats)
         rows.append(_row(f"{name}: seconds of a preview against Cycles at {PEER_SAMPLES} samples + OIDN", ours.seconds, "s", peer.seconds))
-        for metric in (flip, bias):
-            values = [metric(preview.layers["Indirect"], reference) for preview in (ours, peer)]
-            rows.append(_row(f"{name}: {metric.__name__} of a preview's Indirect, ours and Cycles'", values[0], "1", values[1]))
+        for layer in ("Indirect", "DiffuseIndirect"):
+            for metric in (flip, bias):
+                values = [metric(preview.layers[layer], reference[layer]) for preview in (ours, peer)]
+                rows.append(_row(f"{name}: {metric.__name__} of a preview's {layer}, ours and Cycles'", values[0], "1", values[1]))
     return rows
 
 

@@ -30,7 +30,7 @@ from ..view.points import ShadingPoints
 from .cluster_shading import Lights, blend_values, light_tables, shade, trace_clusters
 from .instant_radiosity import clamp_of, compensate
 
-SHADE_WITH = ("vpls", "clusters")
+SHADE_WITH = ("clusters", "vpls")
 
 CLUSTERS_A_CHUNK = 256  # neighbours, so that a light's rays to their representatives are coherent
 POINTS_A_CHUNK = 1024
@@ -76,8 +76,8 @@ class FuzzyClustering:
 
     vpl_clusters, point_clusters: about how many (Section 3.2.1).
     fuzziness, weighting: of `fuzzy_assign`; fuzziness 1 is hard clustering.
-    shade_with: `vpls` shades with every VPL, clusters giving only visibility; `clusters` with one representative of
-        each VPL cluster, which has the cluster's flux (Eq. 6).
+    shade_with: `clusters` shades with one representative of each VPL cluster, which has the cluster's flux (Eq. 6);
+        `vpls` with every VPL, clusters giving only visibility.
     compensation: gather rays a point cluster that give back the light taken by the clamp (0: none).
 
     `prepare` does the work on the lights, `irradiance` that on the view: other views of the same VPLs cost no work on lights.
@@ -90,7 +90,7 @@ class FuzzyClustering:
         point_clusters: int = 8000,
         fuzziness: int = 6,
         weighting: str = "smooth",
-        shade_with: str = "vpls",
+        shade_with: str = "clusters",
         compensation: int = 8,
         bounces: int = 4,
         seed: int = 0,

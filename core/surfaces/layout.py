@@ -76,17 +76,6 @@ def glossy_albedo(surface, cosine):
 
 
 @inlined
-def glossy_albedo_average(surface):
-    """Glossy albedo (r, g, b), the mean of `glossy_albedo` over the cosine-weighted hemisphere."""
-    s = ggx.layer_albedo_mean(F(0), _GLOSSY_Z, surface[ROUGHNESS], F(1))
-    return (
-        surface[GLOSSY_F0] + s * (surface[GLOSSY_F90] - surface[GLOSSY_F0]),
-        surface[GLOSSY_F0 + 1] + s * (surface[GLOSSY_F90 + 1] - surface[GLOSSY_F0 + 1]),
-        surface[GLOSSY_F0 + 2] + s * (surface[GLOSSY_F90 + 2] - surface[GLOSSY_F0 + 2]),
-    )
-
-
-@inlined
 def passing_chance(surface):
     """With what probability a path that samples one of both had better go straight through a surface than end there.
 
@@ -100,26 +89,3 @@ def passing_chance(surface):
         if surface[EMISSION + c] > F(0):
             kept = F(1)
     return through / (through + kept) if through > F(0) else F(0)
-
-
-@inlined
-def total_albedo_average(surface):
-    """Share of light (r, g, b) that leaves again, diffuse and glossy together, at most 1 per channel.
-
-    A tree may ask for more than 1 (Add Shader, colours above 1); light paths would then never end.
-    """
-    dr, dg, db = diffuse_albedo_average(surface)
-    gr, gg, gb = glossy_albedo_average(surface)
-    return min(dr + gr, F(1)), min(dg + gg, F(1)), min(db + gb, F(1))
-
-
-@inlined
-def scattered_albedos(surface, cosine):
-    """Diffuse and glossy albedo (dr, dg, db, gr, gg, gb) of light that arrives at `cosine` and may leave anywhere.
-
-    Together at most 1 in every channel (see `total_albedo_average`).
-    """
-    dr, dg, db = diffuse_albedo_average(surface)
-    gr, gg, gb = glossy_albedo(surface, cosine)
-    scale = F(1) / max(F(1), dr + gr, dg + gg, db + gb)
-    return scale * dr, scale * dg, scale * db, scale * gr, scale * gg, scale * gb

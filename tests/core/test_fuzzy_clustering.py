@@ -258,7 +258,7 @@ def test_cut_outs_let_their_share_through(build):
 
 
 def test_unknown_ways_to_shade_are_named():
-    with pytest.raises(ValueError, match="shade_with: expected one of vpls, clusters"):
+    with pytest.raises(ValueError, match="shade_with: expected one of clusters, vpls"):
         FuzzyClustering(shade_with="all")
 
 
