@@ -7,6 +7,8 @@ give to the view, with exact weights, so that the expected light is unchanged.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from .jit import kernel
@@ -136,10 +138,13 @@ def vpl_pool(
     seed: int,
     threads: int = 0,
     progress: Progress | None = None,
+    *,
+    share: Callable[[Vpls], np.ndarray] | None = None,
 ) -> tuple[Vpls, dict]:
     """About `count` VPLs that light the view, after at most `bounces` diffuse surfaces.
 
     g_max_of: (vpls, points) -> the clamp of the geometry term, which bounds what one light can seem to give.
+    share: vpls -> the part of each one's light (M,) that is wanted (None: all of it).
 
     Returns:
         The VPLs, and counts: `light` and `shadow` rays, `traced` VPLs, `useless` ones (behind every point).
@@ -156,6 +161,8 @@ def vpl_pool(
         kept = drop_useless(vpls, points)
         counts["useless"] += len(vpls.bounce) - len(kept.bounce)
         if len(kept.bounce):
+            if share is not None:
+                kept.flux[:] *= share(kept)[:, None]
             g_max = g_max_of(kept, points) if g_max is None else g_max
             light, rays = contributions(scene, kept, subset, g_max, seed + batch, threads)
             counts["shadow"] += rays

@@ -1,0 +1,324 @@
+"""Importance sampling of VPLs, and final gathering from cached light: the accurate method.
+
+Both estimate the same integral, and share it by what each is good at.  Of the light that a surface y sends to a
+shading point x, virtual lights carry
+
+    w(x, y) = B(y) / (B(y) + tau) min(1, G_max / G(x, y)),
+
+where B is the radiosity around y by the cache of light and tau the mean irradiance of the view; gather rays carry the
+rest.  So bright, far light comes from shadow rays aimed at it, dim and near light from cosine-distributed rays, whose
+light is looked up in the cache (or followed on, close by), and nothing is counted twice.  With w = min(1, G_max / G)
+this is the bias compensation of Kollig & Keller 2004.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..jit import kernel, leaf
+from ..lamps.direct import direct_irradiance_at
+from ..particles import Vpls
+from ..rays.offsets import hit_point, offset_origin, shadow_segment
+from ..rays.order import morton_codes
+from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
+from ..rays.trace import ALL, intersect_packet
+from ..sampling.hashing import hash_combine, uniform
+from ..sampling.maps import cosine_hemisphere, to_world
+from ..sampling.sequences import r2
+from ..scene import DIFFUSE, TRANSPARENT
+from ..surfaces.layout import SURFACE, total_albedo_average
+from ..surfaces.normals import shading_normal
+from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
+from ..surfaces.visibility import shadow_packet
+from ..threads import Progress, run_chunks
+from ..transport import Transport
+from ..view.points import ShadingPoints
+from ..vpl_pool import vpl_pool
+from .instant_radiosity import clamp_of
+from .light_cache import LightCache, build_light_cache, find_cell, look_up, seen_light, trace_probes
+from .tails import nearest_surface
+
+CHUNK = 1024  # points a chunk
+SUBSET = 512  # virtual lights that one point looks at
+BLOCK = 16  # of them, summed together
+NEAR = np.float32(1.5)  # cells: surfaces nearer than this are not looked up but followed on
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+_INV_PI = np.float32(1.0 / np.pi)
+
+
+@leaf
+def _followed(scene, cache, packet, rows, surface, bounces, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path):
+    """Irradiance (r, g, b) at a surface by one shadow ray and one ray into the cache."""
+    er, eg, eb = direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, 100)
+    if bounces < 2:
+        return er, eg, eb
+    lx, ly, lz = cosine_hemisphere(uniform(seed, path, 100, 6), uniform(seed, path, 100, 7))
+    dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
+    if gx * dx + gy * dy + gz * dz <= 0:
+        return er, eg, eb
+    ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
+    triangle, u, v, _, r, g, b = nearest_surface(
+        scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, 108
+    )
+    if triangle < 0:
+        return er, eg, eb
+    qx, qy, qz, nx, ny, nz, _ = hit_point(scene.vertices, scene.triangles, triangle, u, v)
+    if nx * dx + ny * dy + nz * dz > 0:
+        nx, ny, nz = -nx, -ny, -nz
+    cell = find_cell(cache, qx, qy, qz, nx, ny, nz, uniform(seed, path, 101, 0), uniform(seed, path, 101, 1))
+    if cell < 0:
+        return er, eg, eb
+    return er + r * cache.before[cell, 0], eg + g * cache.before[cell, 1], eb + b * cache.before[cell, 2]
+
+
+@kernel
+def _gather(scene, cache, points, begin, end, samples, first, g_max, tau, bounces, seed, out):
+    """Adds to the points begin..end-1 what `samples` cosine-distributed rays each find, less what lights carry; the rays traced."""
+    packet = new_packet()
+    single = new_packet()
+    surface = np.zeros(SURFACE, np.float32)
+    rows = new_registers(scene.materials)
+    direction = np.empty((WIDTH, 3), np.float32)
+    found = np.empty(WIDTH, np.int32)
+    hit = np.empty((WIDTH, 3), np.float32)
+    near = NEAR * cache.size
+    share = _1 / np.float32(samples)
+    rays = 0
+    for base in range(begin, end, WIDTH):
+        lanes = min(WIDTH, end - base)
+        for s in range(samples):
+            for lane in range(lanes):
+                k = base + lane
+                u1, u2 = r2(first + s, hash_combine(seed, k))
+                lx, ly, lz = cosine_hemisphere(u1, u2)
+                dx, dy, dz = to_world(lx, ly, lz, points.ns[k, 0], points.ns[k, 1], points.ns[k, 2])
+                direction[lane, 0], direction[lane, 1], direction[lane, 2] = dx, dy, dz
+                gx, gy, gz = points.ng[k, 0], points.ng[k, 1], points.ng[k, 2]
+                if dx * gx + dy * gy + dz * gz <= 0:
+                    disable_ray(packet, lane)
+                    continue
+                ox, oy, oz = offset_origin(
+                    points.position[k, 0], points.position[k, 1], points.position[k, 2], gx, gy, gz, points.error[k], dx, dy, dz
+                )
+                set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, np.float32(np.inf), DIFFUSE)
+                rays += 1
+            intersect_packet(scene.rays, ALL, packet, lanes)
+            for lane in range(lanes):
+                found[lane] = hit_triangle(packet, lane) if packet.f[T_FAR * WIDTH + lane] >= 0 else -1
+                hit[lane, 0], hit[lane, 1], hit[lane, 2] = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
+            for lane in range(lanes):
+                triangle = found[lane]
+                if triangle < 0:
+                    continue
+                k = base + lane
+                dx, dy, dz = direction[lane, 0], direction[lane, 1], direction[lane, 2]
+                path = np.uint32(k * np.int64(977) + first + s)
+                u, v, t = hit[lane, 0], hit[lane, 1], hit[lane, 2]
+                wr = wg = wb = share
+                if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
+                    ox, oy, oz = offset_origin(
+                        points.position[k, 0], points.position[k, 1], points.position[k, 2],
+                        points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz,
+                    )  # fmt: skip
+                    triangle, u, v, t, tr, tg, tb = nearest_surface(
+                        scene, single, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, 60
+                    )
+                    if triangle < 0:
+                        continue
+                    wr, wg, wb = wr * tr, wg * tg, wb * tb
+                x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
+                cos_y = -(gx * dx + gy * dy + gz * dz)
+                behind = cos_y < 0
+                if behind:
+                    gx, gy, gz, cos_y = -gx, -gy, -gz, -cos_y
+                cell = find_cell(cache, x, y, z, gx, gy, gz, uniform(seed, path, 3, 0), uniform(seed, path, 3, 1))
+                if cell >= 0:
+                    bright = cache.bright[cell]
+                    if bright > 0:
+                        cos_x = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
+                        rest = _1 - bright / (bright + tau) * min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
+                        wr, wg, wb = wr * rest, wg * rest, wb * rest
+                    if t > near:
+                        out[k, 0] += wr * cache.radiosity[cell, 0]
+                        out[k, 1] += wg * cache.radiosity[cell, 1]
+                        out[k, 2] += wb * cache.radiosity[cell, 2]
+                        continue
+                evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
+                ar, ag, ab = total_albedo_average(surface)
+                wr, wg, wb = wr * ar, wg * ag, wb * ab
+                if not max(wr, wg, wb) > _0:
+                    continue
+                sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+                if sx * gx + sy * gy + sz * gz < 0:
+                    sx, sy, sz = -sx, -sy, -sz
+                r, g, b = _followed(scene, cache, single, rows, surface, bounces, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path)
+                out[k, 0] += wr * r
+                out[k, 1] += wg * g
+                out[k, 2] += wb * b
+    return rays
+
+
+@leaf
+def _light_up(lights, begin, count, px, py, pz, nx, ny, nz, gx, gy, gz, g_max, f, blocks):
+    """What each of `count` lights gives a point unshadowed (mean of the channels) into f, its sums by blocks; the sum of all."""
+    for k in range(count):
+        j = begin + k
+        dx, dy, dz = lights[0, j] - px, lights[1, j] - py, lights[2, j] - pz
+        r2_ = max(dx * dx + dy * dy + dz * dz, np.float32(1e-30))
+        at_point = max(_0, nx * dx + ny * dy + nz * dz)
+        at_light = max(_0, -(lights[3, j] * dx + lights[4, j] * dy + lights[5, j] * dz))
+        above = _1 if gx * dx + gy * dy + gz * dz > _0 else _0
+        f[k] = lights[6, j] * above * min(g_max, at_point * at_light / (r2_ * r2_))
+    total = _0
+    for block in range((count + BLOCK - 1) // BLOCK):
+        part = _0
+        for k in range(block * BLOCK, min(count, block * BLOCK + BLOCK)):
+            part += f[k]
+        blocks[block] = part
+        total += part
+    return total
+
+
+@kernel
+def _trace_lights(scene, packet, single, rows, surface, cutouts, points, vpls, owner, light, value, lanes, through, out):
+    """Traces the shadow rays of `lanes` pairs of a point and a light and adds what arrives."""
+    for lane in range(lanes):
+        k, j = owner[lane], light[lane]
+        ox, oy, oz, dx, dy, dz = shadow_segment(
+            points.position[k, 0], points.position[k, 1], points.position[k, 2], points.ng[k, 0], points.ng[k, 1], points.ng[k, 2],
+            points.error[k], vpls.position[j, 0], vpls.position[j, 1], vpls.position[j, 2],
+            vpls.normal[j, 0], vpls.normal[j, 1], vpls.normal[j, 2], vpls.error[j],
+        )  # fmt: skip
+        set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
+    shadow_packet(scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, lanes, DIFFUSE, cutouts, through)
+    for lane in range(lanes):
+        k, j = owner[lane], light[lane]
+        mean = (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2]) * np.float32(1 / 3)
+        for c in range(3):
+            out[k, c] += value[lane] * through[lane, c] * vpls.flux[j, c] / mean
+
+
+@kernel
+def _sample_lights(scene, points, vpls, lights, subset, begin, end, samples, first, g_max, cutouts, seed, out):
+    """Adds to the points begin..end-1 the light of VPLs picked by what they give unshadowed; the shadow rays traced.
+
+    Each point looks at one of the subsets of `subset` lights that lie behind each other in `lights`, drawn by a hash.
+    """
+    packet = new_packet()
+    single = new_packet()
+    surface = np.zeros(SURFACE, np.float32)
+    rows = new_registers(scene.materials)
+    through = np.ones((WIDTH, 3), np.float32)
+    f = np.empty(subset, np.float32)
+    blocks = np.empty((subset + BLOCK - 1) // BLOCK, np.float32)
+    owner, light, value = np.empty(WIDTH, np.int64), np.empty(WIDTH, np.int64), np.empty(WIDTH, np.float32)
+    m = lights.shape[1]
+    subsets = (m + subset - 1) // subset
+    n = np.int64(0)
+    rays = 0
+    for k in range(begin, end):
+        key = hash_combine(hash_combine(seed, k), first)
+        chosen = min(np.int64(uniform(key, 0, 0, 0) * np.float32(subsets)), subsets - 1)
+        start = chosen * subset
+        count = min(subset, m - start)
+        total = _light_up(
+            lights, start, count, points.position[k, 0], points.position[k, 1], points.position[k, 2],
+            points.ns[k, 0], points.ns[k, 1], points.ns[k, 2], points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], g_max, f, blocks,
+        )  # fmt: skip
+        if not total > _0:
+            continue
+        each = total * np.float32(subsets) / np.float32(samples)
+        block = at = 0
+        upto, inside = blocks[0], f[0]
+        shift = uniform(key, 0, 0, 1)
+        for s in range(samples):
+            target = (np.float32(s) + shift) / np.float32(samples) * total
+            while block + 1 < len(blocks) and upto <= target and (block + 1) * BLOCK < count:
+                block += 1
+                at = block * BLOCK
+                inside = upto + f[at]
+                upto += blocks[block]
+            while at + 1 < min(count, (block + 1) * BLOCK) and inside <= target:
+                at += 1
+                inside += f[at]
+            if not f[at] > _0:
+                continue
+            owner[n], light[n], value[n] = k, start + at, each
+            n += 1
+            rays += 1
+            if n == WIDTH:
+                _trace_lights(scene, packet, single, rows, surface, cutouts, points, vpls, owner, light, value, n, through, out)
+                n = np.int64(0)
+    if n > 0:
+        _trace_lights(scene, packet, single, rows, surface, cutouts, points, vpls, owner, light, value, n, through, out)
+    return rays
+
+
+class ImportanceSampling:
+    """Virtual lights picked by what they can give, and gather rays into a cache of light.
+
+    lights: VPLs.  samples: shadow rays, gather: gather rays a point.  paths: probe paths of the cache.
+    """
+
+    def __init__(self, *, samples: int = 32, gather: int = 8, bounces: int = 4, seed: int = 0, threads: int = 0):
+        self.samples = samples
+        self.gather = gather
+        self.bounces = bounces
+        self.seed = seed
+        self.threads = threads
+        self.rays = 0
+        self.light_rays = 0
+        self.pairs = 0
+
+    def cache_light(self, scene: Transport, points: ShadingPoints, paths: int, progress: Progress | None = None) -> None:
+        """Fill the cache of light from `paths` paths that begin at the points."""
+        self.scene = scene
+        probes, rays = trace_probes(scene, points, paths, self.seed ^ 0x51AB5, self.threads, progress)
+        self.rays += rays
+        self.cache: LightCache = build_light_cache(probes, self.bounces, self.seed)
+        self.tau = np.float32(max(seen_light(self.cache, probes, self.seed + 1), 1e-30))
+
+    def shares(self, vpls: Vpls) -> np.ndarray:
+        """Part of each VPL's light that is the virtual lights' to carry where G is below the clamp, (M,) float32."""
+        cell = look_up(self.cache, vpls.position, vpls.normal, self.seed + 2)
+        bright = np.where(cell >= 0, self.cache.bright[np.maximum(cell, 0)], np.float32(0)) if len(self.cache.bright) else np.zeros(len(cell))
+        return (bright / (bright + self.tau)).astype(np.float32)
+
+    def prepare(self, scene: Transport, points: ShadingPoints, count: int, progress: Progress | None = None) -> dict:
+        """Trace about `count` VPLs for what is left to them; the counts of `vpl_pool`."""
+        vpls, counts = vpl_pool(scene, points, count, self.bounces, clamp_of, self.seed, self.threads, progress, share=self.shares)
+        self.g_max = np.float32(clamp_of(vpls, points))
+        order = np.argsort(morton_codes(vpls.position), kind="stable") if len(vpls.bounce) else np.zeros(0, np.int64)
+        # Every subset takes each so-manyth light along the curve, so that all of them look alike.
+        subsets = max(1, (len(order) + SUBSET - 1) // SUBSET)
+        self.subset = max(1, (len(order) + subsets - 1) // subsets)
+        order = np.concatenate([order[k::subsets] for k in range(subsets)])
+        self.vpls = vpls.take(order)
+        power = self.vpls.flux.mean(axis=1) * _INV_PI
+        self.lights = np.ascontiguousarray(
+            np.vstack([self.vpls.position.T, self.vpls.normal.T, power[None]]).astype(np.float32)
+        )
+        return counts
+
+    def irradiance(self, points: ShadingPoints, progress: Progress | None = None, *, first: int = 0) -> np.ndarray:
+        """Indirect irradiance at N points, (N, 3) float32, W/m^2."""
+        n = len(points.pixel)
+        out = np.zeros((n, 3), np.float32)
+        cutouts = bool((self.scene.materials.flags & TRANSPARENT).any())
+
+        def work(begin, end):
+            rays = _gather(
+                self.scene, self.cache, points, begin, end, self.gather, first, self.g_max, self.tau, self.bounces,
+                np.uint32(self.seed + 3), out,
+            )  # fmt: skip
+            if self.lights.shape[1] and self.samples:
+                rays += _sample_lights(
+                    self.scene, points, self.vpls, self.lights, self.subset, begin, end, self.samples, first, self.g_max, cutouts,
+                    np.uint32(self.seed + 4), out,
+                )  # fmt: skip
+            return rays
+
+        self.rays += sum(run_chunks(work, n, CHUNK, self.threads, progress))
+        self.pairs += n * self.subset
+        return out

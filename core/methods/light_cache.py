@@ -1,0 +1,426 @@
+"""A cache of the light that surfaces send out, found again by a hash of place and normal.
+
+Paths from the visible points probe the scene; every surface that they meet is a probe: one sample of its direct
+light, and a link to the surface that one cosine-distributed ray from it meets.  Probes in the same cell of a grid
+share what they know (Binder, Fricke & Keller 2018, "Fast Path Space Filtering by Jittered Spatial Hashing"): the
+radiosity of a cell is the mean of its probes', bounce after bounce over their links.  Probes and lookups are
+displaced at random within the surface by up to half a cell, so that cells overlap smoothly and the light of a
+surface as a whole is kept.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..jit import inlined, kernel, leaf
+from ..lamps.direct import direct_irradiance_at
+from ..rays.offsets import hit_point, offset_origin
+from ..rays.packet import new_packet
+from ..sampling.hashing import uniform
+from ..sampling.maps import cosine_hemisphere, orthonormal_basis, to_world
+from ..scene import DIFFUSE
+from ..surfaces.layout import SURFACE, total_albedo_average
+from ..surfaces.normals import shading_normal
+from ..surfaces.program import new_registers
+from ..threads import Progress, run_chunks
+from ..transport import Transport
+from ..view.points import ShadingPoints
+from .tails import nearest_surface
+
+CHUNK = 512  # paths a chunk
+DEPTH = 2  # probes a path: seen from the visible points, and from there
+PROBES_A_CELL = 12  # of the finest cells, on average
+LEVELS = 3  # cells of 1, 3 and 9 sizes: the coarser ones answer where the finer ones know little
+GROWTH = 3.0
+PRIOR = np.float32(3.0)  # a coarser cell counts as this many probes of the finer one
+_MISS, _HIT = 1, 2
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+_HALF = np.float32(0.5)
+
+
+class Probes(NamedTuple):
+    """N surfaces that paths met.
+
+    position, normal: (N, 3) float32, the geometric normal on the side that was met.
+    direct: (N, 3) float32, radiosity by direct light, one sample (W/m^2).
+    carry: (N, 3) float32, radiosity for each unit of radiosity of the linked surface.
+    link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 no ray, 1 the ray met nothing, 2 a surface.
+    valid: (N,) uint8, whether the path came so far.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    direct: np.ndarray
+    carry: np.ndarray
+    link_position: np.ndarray
+    link_normal: np.ndarray
+    link: np.ndarray
+    valid: np.ndarray
+
+    @staticmethod
+    def allocate(n: int) -> Probes:
+        """Room for n probes, none of them valid."""
+        rows = [np.zeros((n, 3), np.float32) for _ in range(6)]
+        return Probes(*rows, np.zeros(n, np.uint8), np.zeros(n, np.uint8))
+
+
+class LightCache(NamedTuple):
+    """Cells of all levels and the hash table that finds them.
+
+    origin: (3,) float32.  size: float32, side of the finest cells (m).
+    keys: (T,) uint64, slot: (T,) int32, cell of a key, -1 where the slot is free; T is a power of two.
+    radiosity: (C, 3) float32 W/m^2, light that left up to as many surfaces as there are bounces.
+    before: (C, 3) float32, one bounce fewer.
+    bright: (C,) float32, mean of the channels of the radiosity around the cell: the cell's noise is not in it.
+    """
+
+    origin: np.ndarray
+    size: np.float32
+    keys: np.ndarray
+    slot: np.ndarray
+    radiosity: np.ndarray
+    before: np.ndarray
+    bright: np.ndarray
+
+
+@inlined
+def _key(origin, size, level, x, y, z, nx, ny, nz):
+    """The cell of a place and a normal at a level, as one integer."""
+    mask = np.int64(0x1FFFF)
+    side = size
+    for _ in range(level):
+        side *= np.float32(GROWTH)
+    ix = np.int64(math.floor((x - origin[0]) / side)) & mask
+    iy = np.int64(math.floor((y - origin[1]) / side)) & mask
+    iz = np.int64(math.floor((z - origin[2]) / side)) & mask
+    # Rounded halves: normals along the axes, the most common ones, lie in the middle of their bins.
+    ax = np.int64(math.floor(nx * np.float32(2.0) + np.float32(2.5)))
+    ay = np.int64(math.floor(ny * np.float32(2.0) + np.float32(2.5)))
+    az = np.int64(math.floor(nz * np.float32(2.0) + np.float32(2.5)))
+    return np.uint64(((((ix << 17 | iy) << 17 | iz) << 8) + (ax * 25 + ay * 5 + az)) << 2 | np.int64(level))
+
+
+@inlined
+def _home(key, n):
+    """The slot where the search for a key begins, of n."""
+    mixed = (key ^ (key >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
+    return np.int64((mixed >> np.uint64(29)) & np.uint64(n - 1))
+
+
+@leaf
+def _find(keys, slot, key):
+    """Cell of a key, -1 where there is none."""
+    at = _home(key, len(keys))
+    while slot[at] >= 0:
+        if keys[at] == key:
+            return np.int64(slot[at])
+        at = (at + 1) & (len(keys) - 1)
+    return np.int64(-1)
+
+
+@inlined
+def _displaced(size, level, x, y, z, nx, ny, nz, u1, u2):
+    """The place moved within its tangent plane by up to half a cell of a level along either axis."""
+    tx, ty, tz, bx, by, bz = orthonormal_basis(nx, ny, nz)
+    side = size
+    for _ in range(level):
+        side *= np.float32(GROWTH)
+    a, b = (u1 - _HALF) * side, (u2 - _HALF) * side
+    return x + a * tx + b * bx, y + a * ty + b * by, z + a * tz + b * bz
+
+
+@leaf
+def find_cell(cache, x, y, z, nx, ny, nz, u1, u2):
+    """The finest cell that knows the surface at a place with geometric normal n, -1 where none does.
+
+    u1, u2: uniform in [0, 1), the displacement.
+    """
+    for level in range(LEVELS):
+        px, py, pz = _displaced(cache.size, level, x, y, z, nx, ny, nz, u1, u2)
+        cell = _find(cache.keys, cache.slot, _key(cache.origin, cache.size, level, px, py, pz, nx, ny, nz))
+        if cell >= 0:
+            return cell
+    return np.int64(-1)
+
+
+@leaf
+def _probe_path(scene, packet, rows, surface, probes, first, depth, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path):
+    """One path from a visible point: up to `depth` probes from row `first` on, each with its link; the rays traced."""
+    rays = 0
+    for vertex in range(depth + 1):
+        lx, ly, lz = cosine_hemisphere(uniform(seed, path, vertex, 6), uniform(seed, path, vertex, 7))
+        dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
+        at = first + vertex - 1
+        if gx * dx + gy * dy + gz * dz <= 0:
+            if vertex > 0:
+                probes.link[at] = _MISS
+            return rays
+        ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
+        rays += 1
+        triangle, u, v, _, tr, tg, tb = nearest_surface(
+            scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, vertex * 100 + 8
+        )
+        if triangle < 0:
+            if vertex > 0:
+                probes.link[at] = _MISS
+            return rays
+        x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
+        sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+        if gx * dx + gy * dy + gz * dz > 0:
+            gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+        if vertex > 0:
+            probes.link[at] = _HIT
+            probes.link_position[at, 0], probes.link_position[at, 1], probes.link_position[at, 2] = x, y, z
+            probes.link_normal[at, 0], probes.link_normal[at, 1], probes.link_normal[at, 2] = gx, gy, gz
+            probes.carry[at, 0] *= tr
+            probes.carry[at, 1] *= tg
+            probes.carry[at, 2] *= tb
+        if vertex == depth:
+            return rays
+        ar, ag, ab = total_albedo_average(surface)
+        at += 1
+        probes.valid[at] = 1
+        probes.position[at, 0], probes.position[at, 1], probes.position[at, 2] = x, y, z
+        probes.normal[at, 0], probes.normal[at, 1], probes.normal[at, 2] = gx, gy, gz
+        probes.carry[at, 0], probes.carry[at, 1], probes.carry[at, 2] = ar, ag, ab
+        if not max(ar, ag, ab) > _0:
+            probes.link[at] = _MISS
+            return rays
+        r, g, b = direct_irradiance_at(
+            scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, vertex * 100 + 50
+        )
+        rays += 1
+        probes.direct[at, 0], probes.direct[at, 1], probes.direct[at, 2] = ar * r, ag * g, ab * b
+    return rays
+
+
+@kernel
+def _probe_chunk(scene, points, start, begin, end, depth, seed, probes):
+    packet = new_packet()
+    rows = new_registers(scene.materials)
+    surface = np.zeros(SURFACE, np.float32)
+    rays = 0
+    for path in range(begin, end):
+        i = start[path]
+        rays += _probe_path(
+            scene, packet, rows, surface, probes, path * depth, depth, points.position[i, 0], points.position[i, 1], points.position[i, 2],
+            points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
+            seed, np.uint32(path),
+        )  # fmt: skip
+    return rays
+
+
+def trace_probes(
+    scene: Transport, points: ShadingPoints, paths: int, seed: int, threads: int = 0, progress: Progress | None = None
+) -> tuple[Probes, int]:
+    """Probes along `paths` paths that begin at points spread evenly over the view; the number of rays traced."""
+    probes = Probes.allocate(paths * DEPTH)
+    offsets = np.random.default_rng(seed).random(paths)
+    start = np.minimum(((np.arange(paths) + offsets) * (len(points.pixel) / paths)).astype(np.int64), len(points.pixel) - 1)
+
+    def work(begin, end):
+        return _probe_chunk(scene, points, start, begin, end, DEPTH, np.uint32(seed), probes)
+
+    rays = sum(run_chunks(work, paths, CHUNK, threads, progress))
+    return probes, rays
+
+
+@kernel
+def _insert(probes, origin, size, seed, keys, slot, cells, level_of, centre):
+    """Hash all probes at all levels: `cells` (N, LEVELS) int32; the number of cells, or -1 where the table is too small.
+
+    level_of (C,) uint8, centre (C, 6) float32: level, middle and normal of each new cell.
+    """
+    n = 0
+    for p in range(len(probes.valid)):
+        if not probes.valid[p]:
+            continue
+        nx, ny, nz = probes.normal[p, 0], probes.normal[p, 1], probes.normal[p, 2]
+        u1, u2 = uniform(seed, p, 0, 0), uniform(seed, p, 0, 1)
+        for level in range(LEVELS):
+            x, y, z = _displaced(size, level, probes.position[p, 0], probes.position[p, 1], probes.position[p, 2], nx, ny, nz, u1, u2)
+            key = _key(origin, size, level, x, y, z, nx, ny, nz)
+            at = _home(key, len(keys))
+            while slot[at] >= 0 and keys[at] != key:
+                at = (at + 1) & (len(keys) - 1)
+            if slot[at] < 0:
+                if n >= len(level_of) or 2 * n >= len(keys):
+                    return -1
+                keys[at], slot[at] = key, n
+                level_of[n] = level
+                centre[n, 0], centre[n, 1], centre[n, 2] = x, y, z
+                centre[n, 3], centre[n, 4], centre[n, 5] = nx, ny, nz
+                n += 1
+            cells[p, level] = slot[at]
+    return n
+
+
+@kernel
+def _count_cells(probes, origin, size, seed, keys, slot):
+    """Number of the finest cells that the probes would fill at a size."""
+    n = 0
+    for p in range(len(probes.valid)):
+        if not probes.valid[p]:
+            continue
+        nx, ny, nz = probes.normal[p, 0], probes.normal[p, 1], probes.normal[p, 2]
+        x, y, z = _displaced(
+            size, 0, probes.position[p, 0], probes.position[p, 1], probes.position[p, 2], nx, ny, nz,
+            uniform(seed, p, 0, 0), uniform(seed, p, 0, 1),
+        )  # fmt: skip
+        key = _key(origin, size, 0, x, y, z, nx, ny, nz)
+        at = _home(key, len(keys))
+        while slot[at] >= 0 and keys[at] != key:
+            at = (at + 1) & (len(keys) - 1)
+        if slot[at] < 0:
+            keys[at], slot[at] = key, 0
+            n += 1
+    return n
+
+
+@kernel
+def _links(probes, cache, seed, link_cell):
+    """Cell of each probe's link: -1 none known, -2 the ray met nothing, -3 no ray."""
+    for p in range(len(probes.valid)):
+        link_cell[p] = -3
+        if not probes.valid[p] or probes.link[p] == 0:
+            continue
+        if probes.link[p] == _MISS:
+            link_cell[p] = -2
+            continue
+        link_cell[p] = find_cell(
+            cache, probes.link_position[p, 0], probes.link_position[p, 1], probes.link_position[p, 2],
+            probes.link_normal[p, 0], probes.link_normal[p, 1], probes.link_normal[p, 2], uniform(seed, p, 1, 0), uniform(seed, p, 1, 1),
+        )  # fmt: skip
+
+
+@kernel
+def _solve(probes, cells, link_cell, parent, level_of, bounces, direct, radiosity, before, total, linked, number):
+    """Radiosity of all cells after each bounce, by the links of their probes; the last two into radiosity and before."""
+    n_cells = len(parent)
+    number[:] = _0
+    direct[:] = _0
+    for p in range(len(probes.valid)):
+        if not probes.valid[p]:
+            continue
+        for level in range(LEVELS):
+            c = cells[p, level]
+            number[c] += _1
+            for k in range(3):
+                direct[c, k] += probes.direct[p, k]
+    for bounce in range(bounces):
+        for c in range(n_cells):
+            for k in range(3):
+                before[c, k] = radiosity[c, k]
+                total[c, k] = _0
+            linked[c] = _0
+        if bounce > 0:
+            for p in range(len(probes.valid)):
+                if link_cell[p] == -3 or link_cell[p] == -1:
+                    continue
+                for level in range(LEVELS):
+                    c = cells[p, level]
+                    linked[c] += _1
+                    if link_cell[p] >= 0:
+                        for k in range(3):
+                            total[c, k] += probes.carry[p, k] * before[link_cell[p], k]
+        # Coarse cells first: they stand in for what the finer ones have not seen.
+        for level in range(LEVELS - 1, -1, -1):
+            for c in range(n_cells):
+                if level_of[c] != level:
+                    continue
+                up = parent[c]
+                prior = PRIOR if up >= 0 else _0
+                for k in range(3):
+                    own = direct[c, k]
+                    if linked[c] > 0:
+                        own += total[c, k] * (number[c] / linked[c])
+                    if up >= 0:
+                        own += prior * radiosity[up, k]
+                    radiosity[c, k] = own / (number[c] + prior)
+
+
+def cell_size(probes: Probes, origin: np.ndarray, extent: float, seed: int) -> float:
+    """The side of the finest cells (m) at which they hold `PROBES_A_CELL` probes on average."""
+    n = int(probes.valid.sum())
+    bits = max(10, int(np.ceil(np.log2(2 * max(n, 1) + 2))))
+    keys = np.empty(1 << bits, np.uint64)
+    wanted = max(1.0, n / PROBES_A_CELL)
+    smallest = extent / 40000.0  # the key's bits
+    low, high = smallest, extent
+    size = 0.02 * extent
+    for _ in range(6):
+        count = _count_cells(probes, origin, np.float32(size), np.uint32(seed), keys, np.full(1 << bits, -1, np.int32))
+        if 0.8 < count / wanted < 1.25:
+            break
+        low, high = (low, size) if count < wanted else (size, high)
+        # Cells go about with the square of the size.
+        size = float(np.clip(size * np.sqrt(count / wanted), low, high))
+    return max(size, smallest)
+
+
+def build_light_cache(probes: Probes, bounces: int, seed: int) -> LightCache:
+    """Cells that hold what the probes know of light that left 1 to `bounces` surfaces."""
+    n = int(probes.valid.sum())
+    known = probes.position[probes.valid > 0] if n else np.zeros((1, 3), np.float32)
+    low, high = known.min(axis=0), known.max(axis=0)
+    extent = float(max((high - low).max(), 1e-6 * np.abs(known).max(), 1e-9))
+    origin = (low - extent).astype(np.float32)
+    size = np.float32(cell_size(probes, origin, extent, seed))
+    room = max(64, n * LEVELS)
+    bits = max(10, int(np.ceil(np.log2(2 * room + 2))))
+    keys, slot = np.zeros(1 << bits, np.uint64), np.full(1 << bits, -1, np.int32)
+    cells = np.zeros((len(probes.valid), LEVELS), np.int32)
+    level_of, centre = np.empty(room, np.uint8), np.empty((room, 6), np.float32)
+    count = _insert(probes, origin, size, np.uint32(seed), keys, slot, cells, level_of, centre)
+    level_of, centre = level_of[:count].copy(), centre[:count].copy()
+    radiosity, before = np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32)
+    cache = LightCache(origin, size, keys, slot, radiosity, before, np.zeros(count, np.float32))
+    parent = _parents(cache, level_of, centre)
+    link_cell = np.empty(len(probes.valid), np.int64)
+    _links(probes, cache, np.uint32(seed), link_cell)
+    _solve(
+        probes, cells, link_cell, parent, level_of, bounces, np.empty((count, 3), np.float32), radiosity, before,
+        np.empty((count, 3), np.float32), np.empty(count, np.float32), np.empty(count, np.float32),
+    )  # fmt: skip
+    mean = radiosity.mean(axis=1)
+    cache.bright[:] = np.where(parent >= 0, mean[parent], mean)
+    return cache
+
+
+@kernel
+def _parents(cache, level_of, centre):
+    """The next coarser cell around each cell, -1 where there is none."""
+    parent = np.full(len(level_of), -1, np.int64)
+    for c in range(len(level_of)):
+        if level_of[c] + 1 < LEVELS:
+            x, y, z, nx, ny, nz = centre[c, 0], centre[c, 1], centre[c, 2], centre[c, 3], centre[c, 4], centre[c, 5]
+            parent[c] = _find(cache.keys, cache.slot, _key(cache.origin, cache.size, np.int64(level_of[c]) + 1, x, y, z, nx, ny, nz))
+    return parent
+
+
+@kernel
+def _look_up(cache, position, normal, seed, cell):
+    for i in range(len(position)):
+        cell[i] = find_cell(
+            cache, position[i, 0], position[i, 1], position[i, 2], normal[i, 0], normal[i, 1], normal[i, 2],
+            uniform(seed, i, 2, 0), uniform(seed, i, 2, 1),
+        )  # fmt: skip
+
+
+def look_up(cache: LightCache, position: np.ndarray, normal: np.ndarray, seed: int) -> np.ndarray:
+    """Cells (N,) int64 of places (N, 3) with geometric normals (N, 3), -1 where none knows them."""
+    cell = np.empty(len(position), np.int64)
+    _look_up(cache, position, normal, np.uint32(seed), cell)
+    return cell
+
+
+def seen_light(cache: LightCache, probes: Probes, seed: int) -> float:
+    """Mean indirect irradiance of the view (W/m^2, mean of the channels): what the first probe of each path sends back."""
+    first = slice(0, None, DEPTH)
+    cell = look_up(cache, probes.position[first], probes.normal[first], seed)
+    found = (probes.valid[first] > 0) & (cell >= 0)
+    return float(np.where(found, cache.radiosity.mean(axis=1)[np.maximum(cell, 0)] if len(cache.radiosity) else 0.0, 0.0).mean())
