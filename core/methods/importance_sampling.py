@@ -20,8 +20,25 @@ from ..lamps.direct import direct_irradiance_at
 from ..particles import Vpls
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
-from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
-from ..rays.trace import ALL, intersect_packet
+from ..rays.packet import (
+    DIR_X,
+    DIR_Y,
+    DIR_Z,
+    ORG_X,
+    ORG_Y,
+    ORG_Z,
+    T_FAR,
+    WIDTH,
+    disable_ray,
+    hit_t,
+    hit_triangle,
+    hit_u,
+    hit_v,
+    is_occluded,
+    new_packet,
+    set_ray,
+)
+from ..rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..sampling.sequences import r2
@@ -29,7 +46,7 @@ from ..scene import DIFFUSE, TRANSPARENT
 from ..surfaces.layout import SURFACE, total_albedo_average
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
-from ..surfaces.visibility import shadow_packet
+from ..surfaces.visibility import transmittance1
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
@@ -41,48 +58,73 @@ from .tails import nearest_surface
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
 BLOCK = 16  # of them, summed together
-NEAR = np.float32(1.5)  # cells: surfaces nearer than this are not looked up but followed on
+NEAR = 1.0  # cells: surfaces nearer than this are not looked up but followed on
+LARGE = np.float32(1e4)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _INV_PI = np.float32(1.0 / np.pi)
 
 
 @leaf
-def _followed(scene, cache, packet, rows, surface, bounces, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path):
-    """Irradiance (r, g, b) at a surface by one shadow ray and one ray into the cache."""
-    er, eg, eb = direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, 100)
-    if bounces < 2:
-        return er, eg, eb
-    lx, ly, lz = cosine_hemisphere(uniform(seed, path, 100, 6), uniform(seed, path, 100, 7))
-    dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
-    if gx * dx + gy * dy + gz * dz <= 0:
-        return er, eg, eb
-    ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-    triangle, u, v, _, r, g, b = nearest_surface(
-        scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, 108
-    )
-    if triangle < 0:
-        return er, eg, eb
-    qx, qy, qz, nx, ny, nz, _ = hit_point(scene.vertices, scene.triangles, triangle, u, v)
-    if nx * dx + ny * dy + nz * dz > 0:
-        nx, ny, nz = -nx, -ny, -nz
-    cell = find_cell(cache, qx, qy, qz, nx, ny, nz, uniform(seed, path, 101, 0), uniform(seed, path, 101, 1))
-    if cell < 0:
-        return er, eg, eb
-    return er + r * cache.before[cell, 0], eg + g * cache.before[cell, 1], eb + b * cache.before[cell, 2]
+def _followed(scene, cache, packet, rows, surface, near, bounces, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path):
+    """One sample of the irradiance (r, g, b) at a surface: direct light, and a ray into the cache.
+
+    Surfaces closer than `near` are followed on in their turn: what lies in a gap is not what the cell around knows.
+    """
+    er = eg = eb = _0
+    wr = wg = wb = _1
+    for vertex in range(1, bounces + 1):
+        r, g, b = direct_irradiance_at(
+            scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, vertex * 100
+        )
+        er, eg, eb = er + wr * r, eg + wg * g, eb + wb * b
+        if vertex == bounces:
+            break
+        lx, ly, lz = cosine_hemisphere(uniform(seed, path, vertex * 100, 6), uniform(seed, path, vertex * 100, 7))
+        dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
+        if gx * dx + gy * dy + gz * dz <= 0:
+            break
+        ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
+        triangle, u, v, t, r, g, b = nearest_surface(
+            scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, vertex * 100 + 8
+        )
+        if triangle < 0:
+            break
+        wr, wg, wb = wr * r, wg * g, wb * b
+        x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
+        sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+        if gx * dx + gy * dy + gz * dz > 0:
+            gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+        if t > near:
+            cell = find_cell(cache, x, y, z, gx, gy, gz, uniform(seed, path, vertex * 100, 60), uniform(seed, path, vertex * 100, 61))
+            if cell >= 0:
+                left = bounces - vertex - 1
+                er += wr * cache.radiosity[left, cell, 0]
+                eg += wg * cache.radiosity[left, cell, 1]
+                eb += wb * cache.radiosity[left, cell, 2]
+                break
+        ar, ag, ab = total_albedo_average(surface)
+        wr, wg, wb = wr * ar, wg * ag, wb * ab
+        if not max(wr, wg, wb) > _0:
+            break
+    return er, eg, eb
 
 
 @kernel
-def _gather(scene, cache, points, begin, end, samples, first, g_max, tau, bounces, seed, out):
+def _gather(scene, cache, points, begin, end, samples, first, g_max, tau, near, bounces, seed, out):
     """Adds to the points begin..end-1 what `samples` cosine-distributed rays each find, less what lights carry; the rays traced."""
-    packet = new_packet()
-    single = new_packet()
-    surface = np.zeros(SURFACE, np.float32)
-    rows = new_registers(scene.materials)
-    direction = np.empty((WIDTH, 3), np.float32)
-    found = np.empty(WIDTH, np.int32)
-    hit = np.empty((WIDTH, 3), np.float32)
-    near = NEAR * cache.size
+    direction, hit = np.empty((WIDTH, 3), np.float32), np.empty((WIDTH, 3), np.float32)
+    return _gather_leaf(
+        scene, cache, points, begin, end, samples, first, g_max, tau, near, bounces, seed, out, new_packet(), new_packet(),
+        np.zeros(SURFACE, np.float32), new_registers(scene.materials), direction, np.empty(WIDTH, np.int32), hit,
+    )  # fmt: skip
+
+
+@leaf
+def _gather_leaf(
+    scene, cache, points, begin, end, samples, first, g_max, tau, near, bounces, seed, out, packet, single, surface, rows, direction, found, hit
+):
+    """`_gather`, its scratch given: it counts no references."""
     share = _1 / np.float32(samples)
     rays = 0
     for base in range(begin, end, WIDTH):
@@ -140,9 +182,9 @@ def _gather(scene, cache, points, begin, end, samples, first, g_max, tau, bounce
                         rest = _1 - bright / (bright + tau) * min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
                         wr, wg, wb = wr * rest, wg * rest, wb * rest
                     if t > near:
-                        out[k, 0] += wr * cache.radiosity[cell, 0]
-                        out[k, 1] += wg * cache.radiosity[cell, 1]
-                        out[k, 2] += wb * cache.radiosity[cell, 2]
+                        out[k, 0] += wr * cache.radiosity[bounces - 1, cell, 0]
+                        out[k, 1] += wg * cache.radiosity[bounces - 1, cell, 1]
+                        out[k, 2] += wb * cache.radiosity[bounces - 1, cell, 2]
                         continue
                 evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
                 ar, ag, ab = total_albedo_average(surface)
@@ -152,7 +194,7 @@ def _gather(scene, cache, points, begin, end, samples, first, g_max, tau, bounce
                 sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                 if sx * gx + sy * gy + sz * gz < 0:
                     sx, sy, sz = -sx, -sy, -sz
-                r, g, b = _followed(scene, cache, single, rows, surface, bounces, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path)
+                r, g, b = _followed(scene, cache, single, rows, surface, near, bounces, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path)
                 out[k, 0] += wr * r
                 out[k, 1] += wg * g
                 out[k, 2] += wb * b
@@ -160,28 +202,27 @@ def _gather(scene, cache, points, begin, end, samples, first, g_max, tau, bounce
 
 
 @leaf
-def _light_up(lights, begin, count, px, py, pz, nx, ny, nz, gx, gy, gz, g_max, f, blocks):
-    """What each of `count` lights gives a point unshadowed (mean of the channels) into f, its sums by blocks; the sum of all."""
-    for k in range(count):
-        j = begin + k
-        dx, dy, dz = lights[0, j] - px, lights[1, j] - py, lights[2, j] - pz
-        r2_ = max(dx * dx + dy * dy + dz * dz, np.float32(1e-30))
-        at_point = max(_0, nx * dx + ny * dy + nz * dz)
-        at_light = max(_0, -(lights[3, j] * dx + lights[4, j] * dy + lights[5, j] * dz))
-        above = _1 if gx * dx + gy * dy + gz * dz > _0 else _0
-        f[k] = lights[6, j] * above * min(g_max, at_point * at_light / (r2_ * r2_))
+def _light_up(lights, chosen, px, py, pz, nx, ny, nz, gx, gy, gz, g_max, f, blocks):
+    """What each light of a subset gives a point unshadowed into f (K,), its sums by blocks; the sum of all."""
+    for k in range(len(f)):
+        dx, dy, dz = lights[chosen, 0, k] - px, lights[chosen, 1, k] - py, lights[chosen, 2, k] - pz
+        r2_ = dx * dx + dy * dy + dz * dz + np.float32(1e-30)
+        # A shading normal may look at what the surface turns its back on.
+        at_point = min(nx * dx + ny * dy + nz * dz, LARGE * (gx * dx + gy * dy + gz * dz))
+        at_light = -(lights[chosen, 3, k] * dx + lights[chosen, 4, k] * dy + lights[chosen, 5, k] * dz)
+        f[k] = lights[chosen, 6, k] * min(g_max, max(_0, at_point) * max(_0, at_light) / (r2_ * r2_))
     total = _0
-    for block in range((count + BLOCK - 1) // BLOCK):
+    for block in range(len(blocks)):
         part = _0
-        for k in range(block * BLOCK, min(count, block * BLOCK + BLOCK)):
-            part += f[k]
+        for k in range(BLOCK):
+            part += f[block * BLOCK + k]
         blocks[block] = part
         total += part
     return total
 
 
-@kernel
-def _trace_lights(scene, packet, single, rows, surface, cutouts, points, vpls, owner, light, value, lanes, through, out):
+@leaf
+def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, lanes, out):
     """Traces the shadow rays of `lanes` pairs of a point and a light and adds what arrives."""
     for lane in range(lanes):
         k, j = owner[lane], light[lane]
@@ -191,39 +232,54 @@ def _trace_lights(scene, packet, single, rows, surface, cutouts, points, vpls, o
             vpls.normal[j, 0], vpls.normal[j, 1], vpls.normal[j, 2], vpls.error[j],
         )  # fmt: skip
         set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
-    shadow_packet(scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, lanes, DIFFUSE, cutouts, through)
+    occluded_packet(scene.rays, OPAQUE, packet, lanes)
     for lane in range(lanes):
+        if is_occluded(packet, lane):
+            continue
+        r = g = b = _1
+        if cutouts:
+            f = packet.f
+            r, g, b = transmittance1(
+                scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface,
+                f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
+                f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane], _0, _1, DIFFUSE,
+            )  # fmt: skip
         k, j = owner[lane], light[lane]
-        mean = (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2]) * np.float32(1 / 3)
-        for c in range(3):
-            out[k, c] += value[lane] * through[lane, c] * vpls.flux[j, c] / mean
+        w = value[lane] * np.float32(3.0) / (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2])
+        out[k, 0] += w * r * vpls.flux[j, 0]
+        out[k, 1] += w * g * vpls.flux[j, 1]
+        out[k, 2] += w * b * vpls.flux[j, 2]
 
 
 @kernel
-def _sample_lights(scene, points, vpls, lights, subset, begin, end, samples, first, g_max, cutouts, seed, out):
+def _sample_lights(scene, points, vpls, lights, begin, end, samples, first, g_max, cutouts, seed, out):
     """Adds to the points begin..end-1 the light of VPLs picked by what they give unshadowed; the shadow rays traced.
 
-    Each point looks at one of the subsets of `subset` lights that lie behind each other in `lights`, drawn by a hash.
+    Each point looks at one of the subsets of `lights` (S, 7, K), drawn by a hash.
     """
-    packet = new_packet()
-    single = new_packet()
-    surface = np.zeros(SURFACE, np.float32)
-    rows = new_registers(scene.materials)
-    through = np.ones((WIDTH, 3), np.float32)
-    f = np.empty(subset, np.float32)
-    blocks = np.empty((subset + BLOCK - 1) // BLOCK, np.float32)
+    size = lights.shape[2]
     owner, light, value = np.empty(WIDTH, np.int64), np.empty(WIDTH, np.int64), np.empty(WIDTH, np.float32)
-    m = lights.shape[1]
-    subsets = (m + subset - 1) // subset
+    return _sample_lights_leaf(
+        scene, points, vpls, lights, begin, end, samples, first, g_max, cutouts, seed, out, new_packet(), np.zeros(SURFACE, np.float32),
+        new_registers(scene.materials), np.empty(size, np.float32),
+        np.empty(size // BLOCK, np.float32), owner, light, value,
+    )  # fmt: skip
+
+
+@leaf
+def _sample_lights_leaf(
+    scene, points, vpls, lights, begin, end, samples, first, g_max, cutouts, seed, out, packet, surface, rows, f, blocks,
+    owner, light, value,
+):  # fmt: skip
+    """`_sample_lights`, its scratch given: it counts no references."""
+    subsets = len(lights)
     n = np.int64(0)
     rays = 0
     for k in range(begin, end):
         key = hash_combine(hash_combine(seed, k), first)
         chosen = min(np.int64(uniform(key, 0, 0, 0) * np.float32(subsets)), subsets - 1)
-        start = chosen * subset
-        count = min(subset, m - start)
         total = _light_up(
-            lights, start, count, points.position[k, 0], points.position[k, 1], points.position[k, 2],
+            lights, chosen, points.position[k, 0], points.position[k, 1], points.position[k, 2],
             points.ns[k, 0], points.ns[k, 1], points.ns[k, 2], points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], g_max, f, blocks,
         )  # fmt: skip
         if not total > _0:
@@ -234,24 +290,24 @@ def _sample_lights(scene, points, vpls, lights, subset, begin, end, samples, fir
         shift = uniform(key, 0, 0, 1)
         for s in range(samples):
             target = (np.float32(s) + shift) / np.float32(samples) * total
-            while block + 1 < len(blocks) and upto <= target and (block + 1) * BLOCK < count:
+            while block + 1 < len(blocks) and upto <= target:
                 block += 1
                 at = block * BLOCK
                 inside = upto + f[at]
                 upto += blocks[block]
-            while at + 1 < min(count, (block + 1) * BLOCK) and inside <= target:
+            while at + 1 < (block + 1) * BLOCK and inside <= target:
                 at += 1
                 inside += f[at]
             if not f[at] > _0:
                 continue
-            owner[n], light[n], value[n] = k, start + at, each
+            owner[n], light[n], value[n] = k, chosen + at * subsets, each
             n += 1
             rays += 1
             if n == WIDTH:
-                _trace_lights(scene, packet, single, rows, surface, cutouts, points, vpls, owner, light, value, n, through, out)
+                _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, n, out)
                 n = np.int64(0)
     if n > 0:
-        _trace_lights(scene, packet, single, rows, surface, cutouts, points, vpls, owner, light, value, n, through, out)
+        _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, n, out)
     return rays
 
 
@@ -290,15 +346,15 @@ class ImportanceSampling:
         vpls, counts = vpl_pool(scene, points, count, self.bounces, clamp_of, self.seed, self.threads, progress, share=self.shares)
         self.g_max = np.float32(clamp_of(vpls, points))
         order = np.argsort(morton_codes(vpls.position), kind="stable") if len(vpls.bounce) else np.zeros(0, np.int64)
-        # Every subset takes each so-manyth light along the curve, so that all of them look alike.
-        subsets = max(1, (len(order) + SUBSET - 1) // SUBSET)
-        self.subset = max(1, (len(order) + subsets - 1) // subsets)
-        order = np.concatenate([order[k::subsets] for k in range(subsets)])
         self.vpls = vpls.take(order)
-        power = self.vpls.flux.mean(axis=1) * _INV_PI
-        self.lights = np.ascontiguousarray(
-            np.vstack([self.vpls.position.T, self.vpls.normal.T, power[None]]).astype(np.float32)
-        )
+        # Every subset takes each so-manyth light along the curve, so that all of them look alike.
+        m = len(order)
+        subsets = max(1, round(m / SUBSET))
+        self.lights = np.zeros((subsets, 7, -(-m // (subsets * BLOCK)) * BLOCK), np.float32)
+        for k in range(subsets):
+            part = self.vpls.take(slice(k, None, subsets))
+            rows = [part.position.T, part.normal.T, part.flux.mean(axis=1)[None] * _INV_PI]
+            self.lights[k, :, : len(part.bounce)] = np.vstack(rows)
         return counts
 
     def irradiance(self, points: ShadingPoints, progress: Progress | None = None, *, first: int = 0) -> np.ndarray:
@@ -309,16 +365,16 @@ class ImportanceSampling:
 
         def work(begin, end):
             rays = _gather(
-                self.scene, self.cache, points, begin, end, self.gather, first, self.g_max, self.tau, self.bounces,
+                self.scene, self.cache, points, begin, end, self.gather, first, self.g_max, self.tau, np.float32(NEAR * self.cache.size), self.bounces,
                 np.uint32(self.seed + 3), out,
             )  # fmt: skip
-            if self.lights.shape[1] and self.samples:
+            if self.lights.size and self.samples:
                 rays += _sample_lights(
-                    self.scene, points, self.vpls, self.lights, self.subset, begin, end, self.samples, first, self.g_max, cutouts,
+                    self.scene, points, self.vpls, self.lights, begin, end, self.samples, first, self.g_max, cutouts,
                     np.uint32(self.seed + 4), out,
                 )  # fmt: skip
             return rays
 
         self.rays += sum(run_chunks(work, n, CHUNK, self.threads, progress))
-        self.pairs += n * self.subset
+        self.pairs += n * self.lights.shape[2]
         return out

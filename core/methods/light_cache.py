@@ -33,9 +33,11 @@ from .tails import nearest_surface
 CHUNK = 512  # paths a chunk
 DEPTH = 2  # probes a path: seen from the visible points, and from there
 PROBES_A_CELL = 12  # of the finest cells, on average
-LEVELS = 3  # cells of 1, 3 and 9 sizes: the coarser ones answer where the finer ones know little
+LEVELS = 4  # cells of 1, 3, 9 and 27 sizes: the coarser ones answer where the finer ones know little
 GROWTH = 3.0
-PRIOR = np.float32(3.0)  # a coarser cell counts as this many probes of the finer one
+PRIOR = 2.0  # a coarser cell counts as this many probes of the finer one
+GUIDES = 4  # every so-manyth path tells how bright cells are
+GUIDE_PRIOR = 4.0
 _MISS, _HIT = 1, 2
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -73,9 +75,9 @@ class LightCache(NamedTuple):
 
     origin: (3,) float32.  size: float32, side of the finest cells (m).
     keys: (T,) uint64, slot: (T,) int32, cell of a key, -1 where the slot is free; T is a power of two.
-    radiosity: (C, 3) float32 W/m^2, light that left up to as many surfaces as there are bounces.
-    before: (C, 3) float32, one bounce fewer.
-    bright: (C,) float32, mean of the channels of the radiosity around the cell: the cell's noise is not in it.
+    radiosity: (B, C, 3) float32 W/m^2, in row b the light that left up to b + 1 surfaces.
+    bright: (C,) float32, mean of the channels of the radiosity, from other paths: weights that
+        hang on it are independent of the radiosity's noise, and so do not bias the product.
     """
 
     origin: np.ndarray
@@ -83,7 +85,6 @@ class LightCache(NamedTuple):
     keys: np.ndarray
     slot: np.ndarray
     radiosity: np.ndarray
-    before: np.ndarray
     bright: np.ndarray
 
 
@@ -298,28 +299,26 @@ def _links(probes, cache, seed, link_cell):
 
 
 @kernel
-def _solve(probes, cells, link_cell, parent, level_of, bounces, direct, radiosity, before, total, linked, number):
-    """Radiosity of all cells after each bounce, by the links of their probes; the last two into radiosity and before."""
+def _solve(probes, cells, link_cell, parent, level_of, prior, radiosity, direct, total, linked, number):
+    """Radiosity (B, C, 3) of all cells after each bounce, by the links of their probes; the other arrays are scratch."""
     n_cells = len(parent)
     number[:] = _0
     direct[:] = _0
     for p in range(len(probes.valid)):
-        if not probes.valid[p]:
+        if not probes.valid[p] or _guides(p):
             continue
         for level in range(LEVELS):
             c = cells[p, level]
             number[c] += _1
             for k in range(3):
                 direct[c, k] += probes.direct[p, k]
-    for bounce in range(bounces):
-        for c in range(n_cells):
-            for k in range(3):
-                before[c, k] = radiosity[c, k]
-                total[c, k] = _0
-            linked[c] = _0
+    for bounce in range(len(radiosity)):
+        total[:] = _0
+        linked[:] = _0
         if bounce > 0:
+            before = radiosity[bounce - 1]
             for p in range(len(probes.valid)):
-                if link_cell[p] == -3 or link_cell[p] == -1:
+                if link_cell[p] == -3 or link_cell[p] == -1 or _guides(p):
                     continue
                 for level in range(LEVELS):
                     c = cells[p, level]
@@ -333,14 +332,41 @@ def _solve(probes, cells, link_cell, parent, level_of, bounces, direct, radiosit
                 if level_of[c] != level:
                     continue
                 up = parent[c]
-                prior = PRIOR if up >= 0 else _0
+                weight = prior if up >= 0 else _0
                 for k in range(3):
                     own = direct[c, k]
                     if linked[c] > 0:
                         own += total[c, k] * (number[c] / linked[c])
                     if up >= 0:
-                        own += prior * radiosity[up, k]
-                    radiosity[c, k] = own / (number[c] + prior)
+                        own += weight * radiosity[bounce, up, k]
+                    radiosity[bounce, c, k] = own / max(number[c] + weight, np.float32(1e-6))
+
+
+@inlined
+def _guides(p):
+    """Whether probe p belongs to the paths that tell how bright a cell is: other ones than those that its light is from."""
+    return (p // DEPTH) % GUIDES == 0
+
+
+@kernel
+def _brightness(probes, cells, link_cell, parent, level_of, prior, radiosity, bright, number):
+    """Mean of the channels of the radiosity (C,) of all cells, by the guiding probes' own samples."""
+    for p in range(len(probes.valid)):
+        if not probes.valid[p] or not _guides(p) or link_cell[p] == -1:
+            continue
+        light = probes.direct[p, 0] + probes.direct[p, 1] + probes.direct[p, 2]
+        if link_cell[p] >= 0 and len(radiosity) > 1:
+            for k in range(3):
+                light += probes.carry[p, k] * radiosity[len(radiosity) - 2, link_cell[p], k]
+        for level in range(LEVELS):
+            bright[cells[p, level]] += light * np.float32(1 / 3)
+            number[cells[p, level]] += _1
+    for level in range(LEVELS - 1, -1, -1):
+        for c in range(len(parent)):
+            if level_of[c] == level:
+                up = parent[c]
+                weight = prior if up >= 0 else _0
+                bright[c] = (bright[c] + (weight * bright[up] if up >= 0 else _0)) / max(number[c] + weight, np.float32(1e-6))
 
 
 def cell_size(probes: Probes, origin: np.ndarray, extent: float, seed: int) -> float:
@@ -377,17 +403,14 @@ def build_light_cache(probes: Probes, bounces: int, seed: int) -> LightCache:
     level_of, centre = np.empty(room, np.uint8), np.empty((room, 6), np.float32)
     count = _insert(probes, origin, size, np.uint32(seed), keys, slot, cells, level_of, centre)
     level_of, centre = level_of[:count].copy(), centre[:count].copy()
-    radiosity, before = np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32)
-    cache = LightCache(origin, size, keys, slot, radiosity, before, np.zeros(count, np.float32))
+    radiosity = np.zeros((bounces, count, 3), np.float32)
+    cache = LightCache(origin, size, keys, slot, radiosity, np.zeros(count, np.float32))
     parent = _parents(cache, level_of, centre)
     link_cell = np.empty(len(probes.valid), np.int64)
     _links(probes, cache, np.uint32(seed), link_cell)
-    _solve(
-        probes, cells, link_cell, parent, level_of, bounces, np.empty((count, 3), np.float32), radiosity, before,
-        np.empty((count, 3), np.float32), np.empty(count, np.float32), np.empty(count, np.float32),
-    )  # fmt: skip
-    mean = radiosity.mean(axis=1)
-    cache.bright[:] = np.where(parent >= 0, mean[parent], mean)
+    vectors, numbers = np.zeros((2, count, 3), np.float32), np.zeros((2, count), np.float32)
+    _solve(probes, cells, link_cell, parent, level_of, np.float32(PRIOR), radiosity, *vectors, *numbers)
+    _brightness(probes, cells, link_cell, parent, level_of, np.float32(GUIDE_PRIOR), radiosity, cache.bright, np.zeros(count, np.float32))
     return cache
 
 
@@ -423,4 +446,4 @@ def seen_light(cache: LightCache, probes: Probes, seed: int) -> float:
     first = slice(0, None, DEPTH)
     cell = look_up(cache, probes.position[first], probes.normal[first], seed)
     found = (probes.valid[first] > 0) & (cell >= 0)
-    return float(np.where(found, cache.radiosity.mean(axis=1)[np.maximum(cell, 0)] if len(cache.radiosity) else 0.0, 0.0).mean())
+    return float(np.where(found, cache.radiosity[-1].mean(axis=1)[np.maximum(cell, 0)] if len(cache.bright) else 0.0, 0.0).mean())
