@@ -29,6 +29,7 @@ from ..transport import Transport
 from ..view.points import ShadingPoints
 from .cluster_shading import Lights, blend_values, light_tables, shade, trace_clusters
 from .instant_radiosity import clamp_of, compensate
+from .light_cache import no_cache
 
 SHADE_WITH = ("clusters", "vpls")
 
@@ -189,7 +190,7 @@ class FuzzyClustering:
         lost = np.zeros((len(at.pixel), 3), np.float32)
 
         def gather(begin, end):
-            return compensate(self.scene, at, begin, end, self.g_max, 1, self.bounces, np.uint32(self.seed + 1), lost)
+            return compensate(self.scene, no_cache(), at, begin, end, self.g_max, 1, self.bounces, np.uint32(self.seed + 1), lost)
 
         self.rays += sum(run_chunks(gather, len(lost), POINTS_A_CHUNK, self.threads))
         means = lost.reshape(-1, self.compensation, 3).mean(axis=1)

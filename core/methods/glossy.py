@@ -32,10 +32,11 @@ from ..surfaces.layout import (
 from ..surfaces.lobes import LOBE, NEGLIGIBLE, reflection_count, sample_lobe
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import evaluate, new_registers, reflected_view
+from ..surfaces.visibility import nearest_surface
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .tails import nearest_surface, tail_light
+from .tails import tail_light
 
 CHUNK = 512  # points a chunk
 BLOCK = 65536  # points whose reflections are followed together: bounds the memory

@@ -16,7 +16,6 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel, leaf
-from ..lamps.direct import direct_irradiance_at
 from ..particles import Vpls
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
@@ -43,17 +42,19 @@ from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..sampling.sequences import r2
 from ..scene import DIFFUSE, TRANSPARENT
-from ..surfaces.layout import SURFACE, total_albedo_average
+from ..surfaces.layout import SURFACE
+from ..surfaces.lobes import LOBE
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
-from ..surfaces.visibility import transmittance1
+from ..surfaces.visibility import nearest_surface, transmittance1
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
 from ..vpl_pool import vpl_pool
 from .instant_radiosity import clamp_of
-from .light_cache import LightCache, build_light_cache, find_cell, look_up, seen_light, trace_probes
-from .tails import nearest_surface
+from .light_cache import LightCache, build_light_cache, find_cell, look_up, seen_light
+from .probes import trace_probes
+from .tails import path_light
 
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
@@ -65,64 +66,39 @@ _1 = np.float32(1.0)
 _INV_PI = np.float32(1.0 / np.pi)
 
 
-@leaf
-def _followed(scene, cache, packet, rows, surface, near, bounces, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path):
-    """One sample of the irradiance (r, g, b) at a surface: direct light, and a ray into the cache.
-
-    Surfaces closer than `near` are followed on in their turn: what lies in a gap is not what the cell around knows.
-    """
-    er = eg = eb = _0
-    wr = wg = wb = _1
-    for vertex in range(1, bounces + 1):
-        r, g, b = direct_irradiance_at(
-            scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, vertex * 100
-        )
-        er, eg, eb = er + wr * r, eg + wg * g, eb + wb * b
-        if vertex == bounces:
-            break
-        lx, ly, lz = cosine_hemisphere(uniform(seed, path, vertex * 100, 6), uniform(seed, path, vertex * 100, 7))
-        dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
-        if gx * dx + gy * dy + gz * dz <= 0:
-            break
-        ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-        triangle, u, v, t, r, g, b = nearest_surface(
-            scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, vertex * 100 + 8
-        )
-        if triangle < 0:
-            break
-        wr, wg, wb = wr * r, wg * g, wb * b
-        x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
-        sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
-        if gx * dx + gy * dy + gz * dz > 0:
-            gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
-        if t > near:
-            cell = find_cell(cache, x, y, z, gx, gy, gz, uniform(seed, path, vertex * 100, 60), uniform(seed, path, vertex * 100, 61))
-            if cell >= 0:
-                left = bounces - vertex - 1
-                er += wr * cache.radiosity[left, cell, 0]
-                eg += wg * cache.radiosity[left, cell, 1]
-                eb += wb * cache.radiosity[left, cell, 2]
-                break
-        ar, ag, ab = total_albedo_average(surface)
-        wr, wg, wb = wr * ar, wg * ag, wb * ab
-        if not max(wr, wg, wb) > _0:
-            break
-    return er, eg, eb
-
-
 @kernel
 def _gather(scene, cache, points, begin, end, samples, first, g_max, tau, near, bounces, seed, out):
     """Adds to the points begin..end-1 what `samples` cosine-distributed rays each find, less what lights carry; the rays traced."""
     direction, hit = np.empty((WIDTH, 3), np.float32), np.empty((WIDTH, 3), np.float32)
     return _gather_leaf(
         scene, cache, points, begin, end, samples, first, g_max, tau, near, bounces, seed, out, new_packet(), new_packet(),
-        np.zeros(SURFACE, np.float32), new_registers(scene.materials), direction, np.empty(WIDTH, np.int32), hit,
+        np.zeros(SURFACE, np.float32), np.zeros(LOBE, np.float32), new_registers(scene.materials), direction, np.empty(WIDTH, np.int32), hit,
     )  # fmt: skip
 
 
 @leaf
 def _gather_leaf(
-    scene, cache, points, begin, end, samples, first, g_max, tau, near, bounces, seed, out, packet, single, surface, rows, direction, found, hit
+    scene,
+    cache,
+    points,
+    begin,
+    end,
+    samples,
+    first,
+    g_max,
+    tau,
+    near,
+    bounces,
+    seed,
+    out,
+    packet,
+    single,
+    surface,
+    lobe,
+    rows,
+    direction,
+    found,
+    hit,
 ):
     """`_gather`, its scratch given: it counts no references."""
     share = _1 / np.float32(samples)
@@ -187,14 +163,34 @@ def _gather_leaf(
                         out[k, 2] += wb * cache.radiosity[bounces - 1, cell, 2]
                         continue
                 evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
-                ar, ag, ab = total_albedo_average(surface)
-                wr, wg, wb = wr * ar, wg * ag, wb * ab
-                if not max(wr, wg, wb) > _0:
-                    continue
                 sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                 if sx * gx + sy * gy + sz * gz < 0:
                     sx, sy, sz = -sx, -sy, -sz
-                r, g, b = _followed(scene, cache, single, rows, surface, near, bounces, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path)
+                r, g, b = path_light(
+                    scene,
+                    single,
+                    rows,
+                    surface,
+                    lobe,
+                    cache,
+                    near,
+                    x,
+                    y,
+                    z,
+                    error,
+                    gx,
+                    gy,
+                    gz,
+                    sx,
+                    sy,
+                    sz,
+                    -dx,
+                    -dy,
+                    -dz,
+                    bounces,
+                    seed,
+                    path,
+                )
                 out[k, 0] += wr * r
                 out[k, 1] += wg * g
                 out[k, 2] += wb * b
@@ -338,7 +334,9 @@ class ImportanceSampling:
     def shares(self, vpls: Vpls) -> np.ndarray:
         """Part of each VPL's light that is the virtual lights' to carry where G is below the clamp, (M,) float32."""
         cell = look_up(self.cache, vpls.position, vpls.normal, self.seed + 2)
-        bright = np.where(cell >= 0, self.cache.bright[np.maximum(cell, 0)], np.float32(0)) if len(self.cache.bright) else np.zeros(len(cell))
+        bright = (
+            np.where(cell >= 0, self.cache.bright[np.maximum(cell, 0)], np.float32(0)) if len(self.cache.bright) else np.zeros(len(cell))
+        )
         return (bright / (bright + self.tau)).astype(np.float32)
 
     def prepare(self, scene: Transport, points: ShadingPoints, count: int, progress: Progress | None = None) -> dict:

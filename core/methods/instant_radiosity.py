@@ -21,11 +21,12 @@ from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import LOBE
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
-from ..surfaces.visibility import shadow_packet
+from ..surfaces.visibility import nearest_surface, shadow_packet
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .tails import nearest_surface, path_light
+from .light_cache import no_cache
+from .tails import path_light
 
 CHUNK = 256  # points a chunk: neighbours in the picture, so that a VPL's rays to them are coherent
 _0 = np.float32(0.0)
@@ -103,7 +104,7 @@ def _shade(scene, vpls, points, begin, end, g_max, visibility, cutouts, out):
 
 
 @kernel
-def compensate(scene, points, begin, end, g_max, samples, bounces, seed, out):
+def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, out):
     """Adds what the clamp took from the points begin..end-1, by `samples` gather rays each; the rays traced.
 
     Kollig & Keller 2004, "Illumination in the Presence of Weak Singularities", Eq. 5.
@@ -178,7 +179,29 @@ def compensate(scene, points, begin, end, g_max, samples, bounces, seed, out):
                     continue
                 w = (g - g_max) / g * share
                 er, eg, eb = path_light(
-                    scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, bounces, seed, path
+                    scene,
+                    packet,
+                    rows,
+                    surface,
+                    lobe,
+                    cache,
+                    np.float32(np.inf),
+                    x,
+                    y,
+                    z,
+                    error,
+                    gx,
+                    gy,
+                    gz,
+                    sx,
+                    sy,
+                    sz,
+                    -dx,
+                    -dy,
+                    -dz,
+                    bounces,
+                    seed,
+                    path,
                 )
                 out[k, 0] += w * wr * er
                 out[k, 1] += w * wg * eg
@@ -239,7 +262,7 @@ class InstantRadiosity:
             rays = _shade(self.scene, self.vpls, points, begin, end, self.g_max, self.visibility == "rays", cutouts, out)
             if self.compensation and np.isfinite(self.g_max):
                 rays += compensate(
-                    self.scene, points, begin, end, self.g_max, self.compensation, self.bounces, np.uint32(self.seed + 1), out
+                    self.scene, no_cache(), points, begin, end, self.g_max, self.compensation, self.bounces, np.uint32(self.seed + 1), out
                 )
             return rays
 

@@ -16,21 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from ..lamps.direct import direct_irradiance_at
-from ..rays.offsets import hit_point, offset_origin
-from ..rays.packet import new_packet
 from ..sampling.hashing import uniform
-from ..sampling.maps import cosine_hemisphere, orthonormal_basis, to_world
-from ..scene import DIFFUSE
-from ..surfaces.layout import SURFACE, total_albedo_average
-from ..surfaces.normals import shading_normal
-from ..surfaces.program import new_registers
-from ..threads import Progress, run_chunks
-from ..transport import Transport
-from ..view.points import ShadingPoints
-from .tails import nearest_surface
+from ..sampling.maps import orthonormal_basis
 
-CHUNK = 512  # paths a chunk
 DEPTH = 2  # probes a path: seen from the visible points, and from there
 PROBES_A_CELL = 12  # of the finest cells, on average
 LEVELS = 4  # cells of 1, 3, 9 and 27 sizes: the coarser ones answer where the finer ones know little
@@ -38,7 +26,7 @@ GROWTH = 3.0
 PRIOR = 2.0  # a coarser cell counts as this many probes of the finer one
 GUIDES = 4  # every so-manyth path tells how bright cells are
 GUIDE_PRIOR = 4.0
-_MISS, _HIT = 1, 2
+MISSED, DIFFUSE_LINK, GLOSSY_LINK = 0, 1, 2
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _HALF = np.float32(0.5)
@@ -48,9 +36,10 @@ class Probes(NamedTuple):
     """N surfaces that paths met.
 
     position, normal: (N, 3) float32, the geometric normal on the side that was met.
-    direct: (N, 3) float32, radiosity by direct light, one sample (W/m^2).
-    carry: (N, 3) float32, radiosity for each unit of radiosity of the linked surface.
-    link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 no ray, 1 the ray met nothing, 2 a surface.
+    direct: (N, 3) float32, pi times the radiance towards the path by direct light, one sample (W/m^2).
+    carry: (N, 3) float32, the same for each unit that the linked surface sends.
+    link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
+    reflection, 2 by a glossy one.
     valid: (N,) uint8, whether the path came so far.
     """
 
@@ -86,6 +75,12 @@ class LightCache(NamedTuple):
     slot: np.ndarray
     radiosity: np.ndarray
     bright: np.ndarray
+
+
+def no_cache() -> LightCache:
+    """A cache that knows nothing."""
+    none = np.zeros(0, np.float32)
+    return LightCache(np.zeros(3, np.float32), np.float32(1), np.zeros(1, np.uint64), np.full(1, -1, np.int32), none.reshape(1, 0, 3), none)
 
 
 @inlined
@@ -148,88 +143,6 @@ def find_cell(cache, x, y, z, nx, ny, nz, u1, u2):
     return np.int64(-1)
 
 
-@leaf
-def _probe_path(scene, packet, rows, surface, probes, first, depth, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path):
-    """One path from a visible point: up to `depth` probes from row `first` on, each with its link; the rays traced."""
-    rays = 0
-    for vertex in range(depth + 1):
-        lx, ly, lz = cosine_hemisphere(uniform(seed, path, vertex, 6), uniform(seed, path, vertex, 7))
-        dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
-        at = first + vertex - 1
-        if gx * dx + gy * dy + gz * dz <= 0:
-            if vertex > 0:
-                probes.link[at] = _MISS
-            return rays
-        ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-        rays += 1
-        triangle, u, v, _, tr, tg, tb = nearest_surface(
-            scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, vertex * 100 + 8
-        )
-        if triangle < 0:
-            if vertex > 0:
-                probes.link[at] = _MISS
-            return rays
-        x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
-        sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
-        if gx * dx + gy * dy + gz * dz > 0:
-            gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
-        if vertex > 0:
-            probes.link[at] = _HIT
-            probes.link_position[at, 0], probes.link_position[at, 1], probes.link_position[at, 2] = x, y, z
-            probes.link_normal[at, 0], probes.link_normal[at, 1], probes.link_normal[at, 2] = gx, gy, gz
-            probes.carry[at, 0] *= tr
-            probes.carry[at, 1] *= tg
-            probes.carry[at, 2] *= tb
-        if vertex == depth:
-            return rays
-        ar, ag, ab = total_albedo_average(surface)
-        at += 1
-        probes.valid[at] = 1
-        probes.position[at, 0], probes.position[at, 1], probes.position[at, 2] = x, y, z
-        probes.normal[at, 0], probes.normal[at, 1], probes.normal[at, 2] = gx, gy, gz
-        probes.carry[at, 0], probes.carry[at, 1], probes.carry[at, 2] = ar, ag, ab
-        if not max(ar, ag, ab) > _0:
-            probes.link[at] = _MISS
-            return rays
-        r, g, b = direct_irradiance_at(
-            scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, vertex * 100 + 50
-        )
-        rays += 1
-        probes.direct[at, 0], probes.direct[at, 1], probes.direct[at, 2] = ar * r, ag * g, ab * b
-    return rays
-
-
-@kernel
-def _probe_chunk(scene, points, start, begin, end, depth, seed, probes):
-    packet = new_packet()
-    rows = new_registers(scene.materials)
-    surface = np.zeros(SURFACE, np.float32)
-    rays = 0
-    for path in range(begin, end):
-        i = start[path]
-        rays += _probe_path(
-            scene, packet, rows, surface, probes, path * depth, depth, points.position[i, 0], points.position[i, 1], points.position[i, 2],
-            points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
-            seed, np.uint32(path),
-        )  # fmt: skip
-    return rays
-
-
-def trace_probes(
-    scene: Transport, points: ShadingPoints, paths: int, seed: int, threads: int = 0, progress: Progress | None = None
-) -> tuple[Probes, int]:
-    """Probes along `paths` paths that begin at points spread evenly over the view; the number of rays traced."""
-    probes = Probes.allocate(paths * DEPTH)
-    offsets = np.random.default_rng(seed).random(paths)
-    start = np.minimum(((np.arange(paths) + offsets) * (len(points.pixel) / paths)).astype(np.int64), len(points.pixel) - 1)
-
-    def work(begin, end):
-        return _probe_chunk(scene, points, start, begin, end, DEPTH, np.uint32(seed), probes)
-
-    rays = sum(run_chunks(work, paths, CHUNK, threads, progress))
-    return probes, rays
-
-
 @kernel
 def _insert(probes, origin, size, seed, keys, slot, cells, level_of, centre):
     """Hash all probes at all levels: `cells` (N, LEVELS) int32; the number of cells, or -1 where the table is too small.
@@ -284,13 +197,10 @@ def _count_cells(probes, origin, size, seed, keys, slot):
 
 @kernel
 def _links(probes, cache, seed, link_cell):
-    """Cell of each probe's link: -1 none known, -2 the ray met nothing, -3 no ray."""
+    """Cell of each probe's link: -1 none known, -2 the ray met nothing."""
     for p in range(len(probes.valid)):
-        link_cell[p] = -3
-        if not probes.valid[p] or probes.link[p] == 0:
-            continue
-        if probes.link[p] == _MISS:
-            link_cell[p] = -2
+        link_cell[p] = -2
+        if not probes.valid[p] or probes.link[p] == MISSED:
             continue
         link_cell[p] = find_cell(
             cache, probes.link_position[p, 0], probes.link_position[p, 1], probes.link_position[p, 2],
@@ -312,20 +222,21 @@ def _solve(probes, cells, link_cell, parent, level_of, prior, radiosity, direct,
             number[c] += _1
             for k in range(3):
                 direct[c, k] += probes.direct[p, k]
-    for bounce in range(len(radiosity)):
+    # Glossy links take no bounce: they carry what a first round has found for the same number of them.
+    for turn in range(2 * len(radiosity)):
+        bounce = turn // 2
         total[:] = _0
         linked[:] = _0
-        if bounce > 0:
-            before = radiosity[bounce - 1]
-            for p in range(len(probes.valid)):
-                if link_cell[p] == -3 or link_cell[p] == -1 or _guides(p):
-                    continue
-                for level in range(LEVELS):
-                    c = cells[p, level]
-                    linked[c] += _1
-                    if link_cell[p] >= 0:
-                        for k in range(3):
-                            total[c, k] += probes.carry[p, k] * before[link_cell[p], k]
+        for p in range(len(probes.valid)):
+            if not probes.valid[p] or link_cell[p] == -1 or _guides(p):
+                continue
+            row = _row(probes.link[p], bounce, turn)
+            for level in range(LEVELS):
+                c = cells[p, level]
+                linked[c] += _1
+                if link_cell[p] >= 0 and row >= 0:
+                    for k in range(3):
+                        total[c, k] += probes.carry[p, k] * radiosity[row, link_cell[p], k]
         # Coarse cells first: they stand in for what the finer ones have not seen.
         for level in range(LEVELS - 1, -1, -1):
             for c in range(n_cells):
@@ -343,6 +254,12 @@ def _solve(probes, cells, link_cell, parent, level_of, prior, radiosity, direct,
 
 
 @inlined
+def _row(link, bounce, turn):
+    """Row of the radiosity that a link carries to row `bounce`, -1 for none."""
+    return bounce if link == GLOSSY_LINK and turn % 2 == 1 else bounce - 1
+
+
+@inlined
 def _guides(p):
     """Whether probe p belongs to the paths that tell how bright a cell is: other ones than those that its light is from."""
     return (p // DEPTH) % GUIDES == 0
@@ -355,9 +272,10 @@ def _brightness(probes, cells, link_cell, parent, level_of, prior, radiosity, br
         if not probes.valid[p] or not _guides(p) or link_cell[p] == -1:
             continue
         light = probes.direct[p, 0] + probes.direct[p, 1] + probes.direct[p, 2]
-        if link_cell[p] >= 0 and len(radiosity) > 1:
+        row = _row(probes.link[p], len(radiosity) - 1, 1)
+        if link_cell[p] >= 0 and row >= 0:
             for k in range(3):
-                light += probes.carry[p, k] * radiosity[len(radiosity) - 2, link_cell[p], k]
+                light += probes.carry[p, k] * radiosity[row, link_cell[p], k]
         for level in range(LEVELS):
             bright[cells[p, level]] += light * np.float32(1 / 3)
             number[cells[p, level]] += _1

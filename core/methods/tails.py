@@ -16,21 +16,21 @@ from ..jit import kernel, leaf
 from ..lamps.direct import direct_sample_at
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
-from ..rays.trace import ALL, intersect1
 from ..sampling.hashing import uniform
 from ..sampling.maps import cosine_hemisphere, to_world
-from ..scene import DIFFUSE, GLOSSY, TRANSPARENT
+from ..scene import DIFFUSE, GLOSSY
 from ..surfaces import layout
-from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo, glossy_rise, passing_chance
+from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, diffuse_albedo, glossy_rise
 from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, sample_lobe, set_lobe
 from ..surfaces.normals import shading_normal
-from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
+from ..surfaces.program import new_registers
+from ..surfaces.visibility import nearest_surface
 from ..threads import run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
+from .light_cache import LightCache, find_cell, no_cache
 
 CHUNK = 1024  # points a chunk
-MAX_PASSED = 64  # transparent surfaces that one ray passes at most
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _THIRD = np.float32(1 / 3)
@@ -41,40 +41,54 @@ DIMENSIONS = 100
 
 
 @leaf
-def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach, kinds, seed, path, dimension):
-    """The nearest surface along a ray that does not let it through, its material evaluated into `surface`.
+def scatter_light(scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, diffuse, seed, path, at):
+    """What a surface sends towards w at first hand, and a ray that finds the rest.
 
-    Returns (triangle or -1, u, v, t, r, g, b): (r, g, b) weighs what is seen, or what lies beyond all surfaces, for
-    what was passed.
+    (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
+    overwritten.  lobe: (LOBE,) float32, scratch.  diffuse: whether the diffuse lobe may be drawn.  at: first dimension.
+
+    Returns (er, eg, eb, dx, dy, dz, wr, wg, wb, kinds): pi times the radiance by direct light (W/m^2), the ray's
+    direction, its weight and its kind, 0 where there is none.
     """
-    r = g = b = _1
-    start = _0
-    for layer in range(MAX_PASSED):
-        triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, dx, dy, dz, start, reach, kinds)
-        if triangle < 0:
-            return -1, _0, _0, reach, r, g, b
-        evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
-        if not scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
-            return triangle, u, v, t, r, g, b
-        tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
-        chance = passing_chance(surface)
-        if uniform(seed, path, dimension, layer) >= chance:
-            rest = _1 / (_1 - chance)
-            return triangle, u, v, t, r * rest, g * rest, b * rest
-        r, g, b = r * tr / chance, g * tg / chance, b * tb / chance
-        start = t + np.float32(1e-5) * abs(t)
-    return -1, _0, _0, reach, _0, _0, _0
+    cosine = min(_1, abs(sx * wx + sy * wy + sz * wz))
+    dr, dg, db = diffuse_albedo(surface, cosine)
+    roughness = surface[ROUGHNESS]
+    f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
+    f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]
+    r, g, b, cosine = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, at)
+    rise = glossy_rise(cosine, roughness)
+    er = r * (dr + f0r + rise * (f90r - f0r))
+    eg = g * (dg + f0g + rise * (f90g - f0g))
+    eb = b * (db + f0b + rise * (f90b - f0b))
+    set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b)
+    glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
+    dull = _THIRD * (dr + dg + db) if diffuse else _0
+    if not glossy + dull > _0:
+        return er, eg, eb, sx, sy, sz, _0, _0, _0, 0
+    chance = glossy / (glossy + dull)
+    u1, u2 = uniform(seed, path, at, 6), uniform(seed, path, at, 7)
+    kinds = GLOSSY
+    if uniform(seed, path, at, 4) < chance:
+        dx, dy, dz, r, g, b, _ = sample_lobe(lobe, u1, u2)
+    else:
+        lx, ly, lz = cosine_hemisphere(u1, u2)
+        dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
+        r, g, b = dr, dg, db
+        chance = _1 - chance
+        kinds = DIFFUSE
+    if not max(r, g, b) > _0 or gx * dx + gy * dy + gz * dz <= _0:
+        kinds = 0
+    return er, eg, eb, dx, dy, dz, r / chance, g / chance, b / chance, kinds
 
 
 @leaf
 def path_light(
-    scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, bounces, seed, path
+    scene, packet, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, bounces, seed, path
 ):  # fmt: skip
     """One sample of pi times the radiance that a surface sends towards w: direct light, and light of further surfaces.
 
-    (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
-    overwritten.  bounces: diffuse reflections at most; the first one after a lamp counts even if it is glossy.
-    lobe: (LOBE,) float32, scratch.
+    The arguments as in `scatter_light`.  bounces: diffuse reflections at most; the first one after a lamp counts even if it
+    is glossy.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
 
     Returns (r, g, b) in W/m^2.
     """
@@ -83,44 +97,22 @@ def path_light(
     left = bounces - 1
     for vertex in range(bounces + _MORE_SURFACES):
         at = vertex * DIMENSIONS
-        cosine = min(_1, abs(sx * wx + sy * wy + sz * wz))
-        dr, dg, db = diffuse_albedo(surface, cosine)
-        roughness = surface[ROUGHNESS]
-        f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
-        f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]
-        r, g, b, cosine = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, at)
-        rise = glossy_rise(cosine, roughness)
-        er += wr * r * (dr + f0r + rise * (f90r - f0r))
-        eg += wg * g * (dg + f0g + rise * (f90g - f0g))
-        eb += wb * b * (db + f0b + rise * (f90b - f0b))
-        set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b)
-        glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
-        diffuse = _THIRD * (dr + dg + db) if left > 0 else _0
-        if not glossy + diffuse > _0:
+        r, g, b, dx, dy, dz, tr, tg, tb, kinds = scatter_light(
+            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, left > 0, seed, path, at
+        )
+        er, eg, eb = er + wr * r, eg + wg * g, eb + wb * b
+        if kinds == 0:
             break
-        chance = glossy / (glossy + diffuse)
-        u1, u2 = uniform(seed, path, at, 6), uniform(seed, path, at, 7)
-        kinds = GLOSSY
-        if uniform(seed, path, at, 4) < chance:
-            dx, dy, dz, r, g, b, _ = sample_lobe(lobe, u1, u2)
-        else:
-            lx, ly, lz = cosine_hemisphere(u1, u2)
-            dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
-            r, g, b = dr, dg, db
-            chance = _1 - chance
-            kinds = DIFFUSE
+        if kinds == DIFFUSE:
             left -= 1
-        wr, wg, wb = wr * r / chance, wg * g / chance, wb * b / chance
-        go_on = min(_1, max(wr, wg, wb))
-        if not go_on > _0 or gx * dx + gy * dy + gz * dz <= _0:
-            break
+        wr, wg, wb = wr * tr, wg * tg, wb * tb
         if vertex > 0:  # russian roulette by what the path still carries
-            go_on = min(np.float32(0.95), go_on)
+            go_on = min(np.float32(0.95), max(wr, wg, wb))
             if uniform(seed, path, at, 5) >= go_on:
                 break
             wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-        triangle, u, v, _, r, g, b = nearest_surface(
+        triangle, u, v, t, r, g, b = nearest_surface(
             scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), kinds, seed, path, at + 8
         )
         if triangle < 0:
@@ -130,43 +122,51 @@ def path_light(
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
         if gx * dx + gy * dy + gz * dz > 0:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+        if t > near:
+            cell = find_cell(cache, x, y, z, gx, gy, gz, uniform(seed, path, at, 60), uniform(seed, path, at, 61))
+            if cell >= 0:
+                er += wr * cache.radiosity[left, cell, 0]
+                eg += wg * cache.radiosity[left, cell, 1]
+                eb += wb * cache.radiosity[left, cell, 2]
+                break
         wx, wy, wz = -dx, -dy, -dz
     return er, eg, eb
 
 
 @kernel
-def _tail_chunk(scene, points, begin, end, bounces, seed, out):
+def _tail_chunk(scene, cache, near, points, begin, end, bounces, seed, out):
     packet = new_packet()
     rows = new_registers(scene.materials)
     surface = np.zeros(SURFACE, np.float32)
     lobe = np.zeros(LOBE, np.float32)
     for i in range(begin, end):
-        weight = _0
-        for c in range(3):
-            weight = max(weight, points.albedo[i, c] + max(points.f0[i, c], points.f90[i, c]))
-        if not weight > _0:
-            continue
-        # Albedos may be weighted: a path is judged by what it loses on its way alone.
-        inverse = _1 / weight
         surface[:] = _0
         for c in range(3):
-            surface[layout.DIFFUSE + c] = inverse * points.albedo[i, c]
-            surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c] = inverse * points.f0[i, c], inverse * points.f90[i, c]
+            surface[layout.DIFFUSE + c] = points.albedo[i, c]
+            surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c] = points.f0[i, c], points.f90[i, c]
         surface[ROUGHNESS] = points.roughness[i]
-        r, g, b = path_light(
-            scene, packet, rows, surface, lobe, points.position[i, 0], points.position[i, 1], points.position[i, 2], points.error[i],
+        out[i, 0], out[i, 1], out[i, 2] = path_light(
+            scene, packet, rows, surface, lobe, cache, near, points.position[i, 0], points.position[i, 1], points.position[i, 2], points.error[i],
             points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
             points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], bounces, seed, np.uint32(i),
         )  # fmt: skip
-        out[i, 0], out[i, 1], out[i, 2] = weight * r, weight * g, weight * b
 
 
-def tail_light(scene: Transport, points: ShadingPoints, bounces: int, seed: int, threads: int = 0) -> np.ndarray:
+def tail_light(
+    scene: Transport,
+    points: ShadingPoints,
+    bounces: int,
+    seed: int,
+    threads: int = 0,
+    cache: LightCache | None = None,
+    near: float = np.inf,
+) -> np.ndarray:
     """One sample of `path_light` at each of N points towards their viewers, (N, 3) float32 W/m^2."""
     out = np.zeros((len(points.pixel), 3), np.float32)
+    cache = no_cache() if cache is None else cache
 
     def work(begin, end):
-        _tail_chunk(scene, points, begin, end, bounces, np.uint32(seed), out)
+        _tail_chunk(scene, cache, np.float32(near), points, begin, end, bounces, np.uint32(seed), out)
 
     run_chunks(work, len(out), CHUNK, threads)
     return out

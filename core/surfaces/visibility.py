@@ -1,4 +1,4 @@
-"""Light through cut-outs: what share of it passes the transparent surfaces between two points."""
+"""Light through cut-outs: what share of it passes the transparent surfaces between two points, and where a ray ends."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import numpy as np
 
 from ..jit import kernel, leaf
 from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_FAR, T_NEAR, WIDTH
-from ..rays.trace import COHERENT, CUTOUT, OPAQUE, intersect1, occluded_packet
-from .layout import TRANSPARENCY
+from ..rays.trace import ALL, COHERENT, CUTOUT, OPAQUE, intersect1, occluded_packet
+from ..sampling.hashing import uniform
+from ..scene import TRANSPARENT
+from .layout import TRANSPARENCY, passing_chance
 from .program import MEAN_VIEW, evaluate
 
 MAX_PASSED = 128  # transparent surfaces on one segment; what lies behind more counts as dark
@@ -66,3 +68,29 @@ def shadow_packet(rays, materials, material, attributes, packet, rows, surface, 
                 f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane],
                 f[T_NEAR * WIDTH + lane], end[lane], kinds,
             )  # fmt: skip
+
+
+@leaf
+def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach, kinds, seed, path, dimension):
+    """The nearest surface along a ray that does not let it through, its material evaluated into `surface`.
+
+    Returns (triangle or -1, u, v, t, r, g, b): (r, g, b) weighs what is seen, or what lies beyond all surfaces, for
+    what was passed.
+    """
+    r = g = b = _1
+    start = _0
+    for layer in range(MAX_PASSED):
+        triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, dx, dy, dz, start, reach, kinds)
+        if triangle < 0:
+            return -1, _0, _0, reach, r, g, b
+        evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
+        if not scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
+            return triangle, u, v, t, r, g, b
+        tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
+        chance = passing_chance(surface)
+        if uniform(seed, path, dimension, layer) >= chance:
+            rest = _1 / (_1 - chance)
+            return triangle, u, v, t, r * rest, g * rest, b * rest
+        r, g, b = r * tr / chance, g * tg / chance, b * tb / chance
+        start = t + np.float32(1e-5) * abs(t)
+    return -1, _0, _0, reach, _0, _0, _0
