@@ -90,6 +90,13 @@ class DenoiseError(RuntimeError):
     """The library refused a request (out of memory, for one)."""
 
 
+def mean_factor(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """What gives the channels of `after` (H, W, 3) the means of `before`: (3,) float32, bounded where those are of outliers."""
+    means = [image.mean(axis=(0, 1), dtype=np.float64) for image in (before, after)]
+    factor = np.divide(*means, out=np.ones(3), where=means[1] > 0)
+    return np.clip(factor, 1 / _MEAN_FACTOR, _MEAN_FACTOR).astype(np.float32)
+
+
 class Denoiser:
     """Denoises pictures; devices and filters are kept from call to call.  Safe to share between threads.
 
@@ -170,9 +177,7 @@ class Denoiser:
             clean = self._execute({"color": color, **guides}, threads, hdr=True, clean_aux=clean_aux and bool(guides))
         if not preserve_mean:
             return clean
-        before, after = color.mean(axis=(0, 1), dtype=np.float64), clean.mean(axis=(0, 1), dtype=np.float64)
-        factor = np.divide(before, after, out=np.ones(3), where=after > 0)
-        return clean * np.clip(factor, 1 / _MEAN_FACTOR, _MEAN_FACTOR).astype(np.float32)
+        return clean * mean_factor(color, clean)
 
     def prefilter(self, albedo: np.ndarray, normal: np.ndarray, *, threads: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """(albedo, normal) without their noise, each denoised by itself, for `clean_aux`; unchanged without the library."""

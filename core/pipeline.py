@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .denoise import Denoiser
+from .denoise import Denoiser, mean_factor
 from .errors import SceneError
 from .inspection import foresee
 from .jit import CompileTimer
@@ -17,6 +17,7 @@ from .lamps import build_emitters, direct_irradiance, direct_light, world_tables
 from .layers import Layers
 from .methods.fuzzy_clustering import FuzzyClustering
 from .methods.glossy import has_lobes, reflect
+from .methods.importance_sampling import ImportanceSampling
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
 from .particles import Vpls
@@ -32,6 +33,7 @@ from .vpl_pool import vpl_pool
 # progress(stage, fraction) -> True to go on, False to cancel.
 StageProgress = Callable[[str, float], bool]
 
+AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "importance-sampling")
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
 
 
@@ -77,6 +79,7 @@ def render(
         SceneError: the scene cannot be rendered with these settings.
         core.threads.Cancelled: `progress` returned False.
     """
+    settings = settings.with_defaults()
     method = _method(settings)
     run = _Run(progress)
     run.seconds["extraction"] = extraction_seconds
@@ -98,10 +101,11 @@ def render(
             seen = view(scene, ray_scene.tables, world_tables(scene.world), settings.pixel_samples, settings.seed, threads, tick)
             run.rays["primary"] = seen.rays
         points = seen.points
+        sampler = _sampler(run, tables, points, settings, threads)
         with run.stage("direct") as tick:
             direct, highlights = _direct(run, scene, tables, points, settings, threads, tick)
-        shown, reflected = _glossy(run, tables, points, settings, threads)
-        indirect, vpls = _indirect(run, tables, points, settings, threads)
+        shown, reflected = _glossy(run, tables, points, settings, threads, sampler)
+        indirect, vpls = _indirect(run, tables, points, settings, threads, sampler)
         debug = single_lights(tables, vpls, points, seen.shape, threads) if settings.debug_layers else {}
         if settings.debug_layers and run.clusters is not None:
             debug |= run.clusters.debug_layers(points, seen.shape)
@@ -133,12 +137,10 @@ def render(
 
 
 def _method(settings: RenderSettings) -> str:
-    """The method that runs: `auto` takes the most accurate one there is."""
-    if settings.method in ("auto", "instant-radiosity"):
-        return "instant-radiosity"
-    if settings.method == "fuzzy-clustering":
-        return settings.method
-    raise SceneError(f"method {settings.method!r} is not available; use instant-radiosity, fuzzy-clustering or auto")
+    """The method that runs."""
+    if settings.method not in AVAILABLE:
+        raise SceneError(f"method {settings.method!r} is not available; use {', '.join(AVAILABLE)} or auto")
+    return settings.method
 
 
 def _direct(
@@ -162,7 +164,21 @@ def _direct(
     return by_maps + by_rays, highlights
 
 
-def _glossy(run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> tuple[np.ndarray, np.ndarray]:
+def _sampler(run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> ImportanceSampling | None:
+    """The accurate method with its cache of light filled, which reflections use, too."""
+    if settings.method != "importance-sampling" or settings.bounces < 1 or len(points.pixel) == 0:
+        return None
+    with run.stage("cache") as tick:
+        sampler = ImportanceSampling(
+            samples=settings.samples, gather=settings.gather, bounces=settings.bounces, seed=settings.seed, threads=threads
+        )
+        run.rays["light"] += sampler.cache_light(tables, points, tick)
+    return sampler
+
+
+def _glossy(
+    run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Direct and indirect radiance (N, 3) that rays drawn from the points' lobes find."""
     nothing = np.zeros((len(points.pixel), 3), np.float32)
     if not has_lobes(points) or settings.reflections < 1:
@@ -170,13 +186,16 @@ def _glossy(run: _Run, tables: Transport, points: ShadingPoints, settings: Rende
         return nothing, nothing
     with run.stage("glossy") as tick:
         shown, reflected, rays = reflect(
-            tables, points, settings.direct_samples, settings.reflections, settings.bounces, settings.seed, threads, tick
-        )
+            tables, points, settings.direct_samples, settings.reflections, settings.bounces, settings.seed, threads, tick,
+            cache=sampler.cache if sampler else None, near=sampler.near if sampler else np.inf,
+        )  # fmt: skip
         run.rays["reflected"] = rays
     return shown, reflected
 
 
-def _indirect(run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> tuple[np.ndarray, Vpls]:
+def _indirect(
+    run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
+) -> tuple[np.ndarray, Vpls]:
     """Indirect irradiance at the points (N, 3), and the VPLs that it came from."""
     nothing = np.zeros((len(points.pixel), 3), np.float32)
     if settings.bounces < 1 or settings.vpls < 1:
@@ -186,15 +205,23 @@ def _indirect(run: _Run, tables: Transport, points: ShadingPoints, settings: Ren
         run.skipped.append(Skipped("vpls", "every visible albedo is black"))
         return nothing, Vpls.allocate(0)
     with run.stage("vpls") as tick:
-        vpls, counts = vpl_pool(tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick)
+        if sampler:
+            vpls, counts = sampler.prepare(tables, points, settings.vpls, tick)
+        else:
+            vpls, counts = vpl_pool(tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick)
         run.rays["light"] += counts["light"]
         run.rays["shadow"] += counts["shadow"]
         if counts["useless"]:
             run.skipped.append(Skipped("vpls", f"{counts['useless']} of {counts['traced']} VPLs lie behind every visible point"))
-    if len(vpls.bounce) == 0:
+    if len(vpls.bounce) == 0 and not sampler:
         run.skipped.append(Skipped("vpls", "no lamp's light reaches a surface"))
         return nothing, Vpls.allocate(0)
     with run.stage("indirect") as tick:
+        if sampler:
+            irradiance = sampler.irradiance(points, tick)
+            run.rays["shadow"] += sampler.rays
+            run.pairs += sampler.pairs
+            return irradiance, vpls
         if settings.method == "fuzzy-clustering":
             solver = run.clusters = FuzzyClustering(
                 vpl_clusters=settings.vpl_clusters,
@@ -269,17 +296,24 @@ def compose(
 
 
 def denoise(layers: Layers, threads: int, warnings: list[str]) -> None:
-    """Denoise the indirect light in place, free of albedo, so that textures and edges stay as sharp as they were."""
+    """Denoise the light in place; the diffuse indirect light free of albedo, so that textures and edges stay as sharp as they were."""
     denoiser = Denoiser()
     if denoiser.warning:
         warnings.append(denoiser.warning)
-    albedo = layers["Albedo"]
-    clean = denoiser.denoise(
-        layers["Irradiance"], albedo, layers["Normal"], position=layers["Position"], preserve_mean=True, threads=threads
-    )
+    albedo, normal = layers["Albedo"], layers["Normal"]
+
+    def cleaned(image: np.ndarray, **options) -> np.ndarray:
+        return denoiser.denoise(image, albedo, normal, position=layers["Position"], threads=threads, **options)
+
+    irradiance = np.where(albedo > 0, cleaned(layers["Irradiance"]), np.float32(0))
+    diffuse = irradiance * albedo * np.float32(1 / np.pi)
+    # What counts is the mean of the picture, not of the irradiance.
+    factor = mean_factor(layers["DiffuseIndirect"], diffuse)
+    layers["Irradiance"], layers["DiffuseIndirect"] = factor * irradiance, factor * diffuse
+    for name in ("GlossyIndirect", "Direct"):
+        if layers[name].any():
+            layers[name] = cleaned(layers[name], preserve_mean=True)
     denoiser.close()
-    layers["Irradiance"] = np.where(albedo > 0, clean, np.float32(0))
-    layers["DiffuseIndirect"] = layers["Irradiance"] * albedo * np.float32(1 / np.pi)
     layers["Indirect"] = layers["DiffuseIndirect"] + layers["GlossyIndirect"]
     layers["Combined"] = layers["Direct"] + layers["Indirect"] + layers["Emission"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 METHODS = (
     "auto",
@@ -21,7 +21,7 @@ class RenderSettings:
     vpls: virtual point lights that the view uses.  bounces: diffuse bounces of the indirect light.
     pixel_samples: primary samples a pixel.  direct_samples: shadow rays a shading point for `Direct`.
     reflections: most rays drawn from the glossy lobe of a shading point.
-    denoise: None lets the method choose.  time_budget: seconds; target_error: relMSE.
+    pixel_samples, direct_samples, reflections, denoise: None lets the method choose (see `with_defaults`).  time_budget: seconds; target_error: relMSE.
     layers: names of the layers wanted (None: all of the contract).
     """
 
@@ -30,9 +30,9 @@ class RenderSettings:
     bounces: int = 4
     seed: int = 0
     threads: int = 0
-    pixel_samples: int = 16
-    direct_samples: int = 16
-    reflections: int = 8
+    pixel_samples: int | None = None
+    direct_samples: int | None = None
+    reflections: int | None = None
     denoise: bool | None = None
     time_budget: float | None = None
     target_error: float | None = None
@@ -50,8 +50,17 @@ class RenderSettings:
     weighting: str = "smooth"  # smooth | distance | plain
     shade_with: str = "clusters"  # clusters | vpls
 
-    # importance sampling
-    samples: int = 32
+    # importance sampling; gather: of the compensation, too
+    samples: int = 8
     gather: int = 8
 
     extra: dict = field(default_factory=dict)
+
+    def with_defaults(self) -> RenderSettings:
+        """The same request with nothing left open: a denoised picture needs fewer samples than one that is not."""
+        method = "importance-sampling" if self.method == "auto" else self.method
+        sampled = method == "importance-sampling"
+        denoise = sampled if self.denoise is None else self.denoise
+        choice = {"pixel_samples": (8, 16), "direct_samples": (4, 16), "reflections": (2, 8)}
+        open_ = {name: few if sampled else many for name, (few, many) in choice.items() if getattr(self, name) is None}
+        return replace(self, method=method, denoise=denoise, **open_)

@@ -140,11 +140,13 @@ def vpl_pool(
     progress: Progress | None = None,
     *,
     share: Callable[[Vpls], np.ndarray] | None = None,
+    batches: int = MOST_BATCHES,
 ) -> tuple[Vpls, dict]:
     """About `count` VPLs that light the view, after at most `bounces` diffuse surfaces.
 
     g_max_of: (vpls, points) -> the clamp of the geometry term, which bounds what one light can seem to give.
     share: vpls -> the part of each one's light (M,) that is wanted (None: all of it).
+    batches: of particles, at most.
 
     Returns:
         The VPLs, and counts: `light` and `shadow` rays, `traced` VPLs, `useless` ones (behind every point).
@@ -154,7 +156,7 @@ def vpl_pool(
     parts: list[Vpls] = []
     importance: list[np.ndarray] = []
     g_max = None
-    for batch in range(MOST_BATCHES):
+    for batch in range(batches):
         vpls, rays = trace_particles(scene, max(count * BATCH, 64), bounces, seed + 7919 * batch, threads)
         counts["light"] += rays
         counts["traced"] += len(vpls.bounce)
@@ -175,7 +177,7 @@ def vpl_pool(
                 break
         elif counts["traced"] == 0:
             break
-        if progress is not None and not progress((batch + 1) / MOST_BATCHES):
+        if progress is not None and not progress((batch + 1) / batches):
             raise Cancelled
     pool = Vpls.concatenate(parts)
     if parts:

@@ -171,6 +171,10 @@ METHOD_OPTIONS: dict[str, tuple[MethodOption, ...]] = {
             },
         ),
     ),
+    "importance-sampling": (
+        MethodOption("--samples", "samples", {"type": count, "metavar": "N", "help": "shadow rays a shading point (default: 8)"}),
+        MethodOption("--gather", "gather", {"type": count, "metavar": "N", "help": "gather rays a shading point (default: 8)"}),
+    ),
 }
 
 
@@ -261,8 +265,8 @@ def _add_render_settings(parser: Parser) -> None:
     add("--bounces", type=size_or_none, metavar="B", **keep, help=f"diffuse bounces of the indirect light (default: {default.bounces})")
     add("--seed", type=size_or_none, metavar="S", **keep, help=f"random seed (default: {default.seed})")
     add("--threads", type=size_or_none, metavar="T", **keep, help="threads (default: all cores)")
-    add("--pixel-samples", type=count, metavar="P", **keep, help=f"primary samples a pixel (default: {default.pixel_samples})")
-    add("--denoise", action=argparse.BooleanOptionalAction, **keep, help="denoise the indirect light (default: as the method needs)")
+    add("--pixel-samples", type=count, metavar="P", **keep, help="primary samples a pixel (default: as the method needs)")
+    add("--denoise", action=argparse.BooleanOptionalAction, **keep, help="denoise the light (default: as the method needs)")
     budget = parser.add_mutually_exclusive_group()
     budget.add_argument("--time-budget", type=positive, metavar="SECONDS", **keep, help="use as many samples as fit in this time")
     budget.add_argument("--target-error", type=positive, metavar="E", **keep, help="stop at this relMSE")

@@ -36,6 +36,7 @@ from ..surfaces.visibility import nearest_surface
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
+from .light_cache import LightCache
 from .tails import tail_light
 
 CHUNK = 512  # points a chunk
@@ -242,7 +243,7 @@ def _add(out: np.ndarray, owner: np.ndarray, radiance: np.ndarray) -> None:
 
 def reflect(
     scene: Transport, points: ShadingPoints, samples: int, reflections: int, bounces: int, seed: int,
-    threads: int = 0, progress: Progress | None = None, *, first: int = 0,
+    threads: int = 0, progress: Progress | None = None, *, first: int = 0, cache: LightCache | None = None, near: float = np.inf,
 ) -> tuple[np.ndarray, np.ndarray, int]:  # fmt: skip
     """What the glossy lobes of shading points show, by rays drawn from the lobes.
 
@@ -250,6 +251,7 @@ def reflect(
         samples, reflections, first: as in the call of `lamps.direct_light` that gives the rest of the direct light.
             A point gets up to `reflections` rays, fewer where its lobe is faint beside its diffuse albedo.
         bounces: diffuse bounces of the indirect light (a glossy one counts as none).
+        cache, near: what surfaces farther than `near` (m) from what a ray meets are known to send (see `tails.path_light`).
 
     Returns:
         ((N, 3) direct, (N, 3) indirect radiance, float32 W/m^2/sr, number of rays drawn).
@@ -280,7 +282,7 @@ def reflect(
             mirrors = further
             total += rays + drawn
         hits = ShadingPoints.concatenate(lit)
-        light = tail_light(scene, hits, bounces + 1, key, threads)
+        light = tail_light(scene, hits, bounces + 1, key, threads, cache, near)
         _add(indirect[block], hits.pixel, light * np.float32(1 / np.pi))
         if progress is not None and not progress(block.stop / n):
             raise Cancelled

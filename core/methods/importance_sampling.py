@@ -59,7 +59,10 @@ from .tails import path_light
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
 BLOCK = 16  # of them, summed together
-NEAR = 1.0  # cells: surfaces nearer than this are not looked up but followed on
+PATHS = 0.035  # of the cache, for each ray of the points
+MIN_PATHS = 20000
+BATCHES = 4  # of particles: those whose light gather rays carry need not be many
+NEAR = 2.0  # cells: surfaces nearer than this are not looked up but followed on
 LARGE = np.float32(1e4)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -310,7 +313,7 @@ def _sample_lights_leaf(
 class ImportanceSampling:
     """Virtual lights picked by what they can give, and gather rays into a cache of light.
 
-    lights: VPLs.  samples: shadow rays, gather: gather rays a point.  paths: probe paths of the cache.
+    samples: shadow rays, gather: gather rays a point.
     """
 
     def __init__(self, *, samples: int = 32, gather: int = 8, bounces: int = 4, seed: int = 0, threads: int = 0):
@@ -323,13 +326,15 @@ class ImportanceSampling:
         self.light_rays = 0
         self.pairs = 0
 
-    def cache_light(self, scene: Transport, points: ShadingPoints, paths: int, progress: Progress | None = None) -> None:
-        """Fill the cache of light from `paths` paths that begin at the points."""
+    def cache_light(self, scene: Transport, points: ShadingPoints, progress: Progress | None = None, *, paths: int | None = None) -> int:
+        """Fill the cache of light from `paths` paths that begin at the points (None: as the samples need); the rays traced."""
         self.scene = scene
+        paths = max(MIN_PATHS, int(PATHS * len(points.pixel) * (self.samples + self.gather))) if paths is None else paths
         probes, rays = trace_probes(scene, points, paths, self.seed ^ 0x51AB5, self.threads, progress)
-        self.rays += rays
         self.cache: LightCache = build_light_cache(probes, self.bounces, self.seed)
         self.tau = np.float32(max(seen_light(self.cache, probes, self.seed + 1), 1e-30))
+        self.near = np.float32(NEAR * self.cache.size)
+        return rays
 
     def shares(self, vpls: Vpls) -> np.ndarray:
         """Part of each VPL's light that is the virtual lights' to carry where G is below the clamp, (M,) float32."""
@@ -339,9 +344,11 @@ class ImportanceSampling:
         )
         return (bright / (bright + self.tau)).astype(np.float32)
 
-    def prepare(self, scene: Transport, points: ShadingPoints, count: int, progress: Progress | None = None) -> dict:
-        """Trace about `count` VPLs for what is left to them; the counts of `vpl_pool`."""
-        vpls, counts = vpl_pool(scene, points, count, self.bounces, clamp_of, self.seed, self.threads, progress, share=self.shares)
+    def prepare(self, scene: Transport, points: ShadingPoints, count: int, progress: Progress | None = None) -> tuple[Vpls, dict]:
+        """Trace about `count` VPLs for what is left to them: the VPLs and the counts of `vpl_pool`."""
+        vpls, counts = vpl_pool(
+            scene, points, count, self.bounces, clamp_of, self.seed, self.threads, progress, share=self.shares, batches=BATCHES
+        )
         self.g_max = np.float32(clamp_of(vpls, points))
         order = np.argsort(morton_codes(vpls.position), kind="stable") if len(vpls.bounce) else np.zeros(0, np.int64)
         self.vpls = vpls.take(order)
@@ -353,7 +360,7 @@ class ImportanceSampling:
             part = self.vpls.take(slice(k, None, subsets))
             rows = [part.position.T, part.normal.T, part.flux.mean(axis=1)[None] * _INV_PI]
             self.lights[k, :, : len(part.bounce)] = np.vstack(rows)
-        return counts
+        return self.vpls, counts
 
     def irradiance(self, points: ShadingPoints, progress: Progress | None = None, *, first: int = 0) -> np.ndarray:
         """Indirect irradiance at N points, (N, 3) float32, W/m^2."""
@@ -363,7 +370,7 @@ class ImportanceSampling:
 
         def work(begin, end):
             rays = _gather(
-                self.scene, self.cache, points, begin, end, self.gather, first, self.g_max, self.tau, np.float32(NEAR * self.cache.size), self.bounces,
+                self.scene, self.cache, points, begin, end, self.gather, first, self.g_max, self.tau, self.near, self.bounces,
                 np.uint32(self.seed + 3), out,
             )  # fmt: skip
             if self.lights.size and self.samples:

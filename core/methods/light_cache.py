@@ -20,10 +20,11 @@ from ..sampling.hashing import uniform
 from ..sampling.maps import orthonormal_basis
 
 DEPTH = 2  # probes a path: seen from the visible points, and from there
-PROBES_A_CELL = 12  # of the finest cells, on average
+PROBES_A_CELL = 2  # of the finest cells, on average
 LEVELS = 4  # cells of 1, 3, 9 and 27 sizes: the coarser ones answer where the finer ones know little
 GROWTH = 3.0
 PRIOR = 2.0  # a coarser cell counts as this many probes of the finer one
+LATER = np.float32(0.2)  # weight of probes that no visible point has met itself
 GUIDES = 4  # every so-manyth path tells how bright cells are
 GUIDE_PRIOR = 4.0
 MISSED, DIFFUSE_LINK, GLOSSY_LINK = 0, 1, 2
@@ -217,11 +218,12 @@ def _solve(probes, cells, link_cell, parent, level_of, prior, radiosity, direct,
     for p in range(len(probes.valid)):
         if not probes.valid[p] or _guides(p):
             continue
+        weight = _weight(p)
         for level in range(LEVELS):
             c = cells[p, level]
-            number[c] += _1
+            number[c] += weight
             for k in range(3):
-                direct[c, k] += probes.direct[p, k]
+                direct[c, k] += weight * probes.direct[p, k]
     # Glossy links take no bounce: they carry what a first round has found for the same number of them.
     for turn in range(2 * len(radiosity)):
         bounce = turn // 2
@@ -231,12 +233,13 @@ def _solve(probes, cells, link_cell, parent, level_of, prior, radiosity, direct,
             if not probes.valid[p] or link_cell[p] == -1 or _guides(p):
                 continue
             row = _row(probes.link[p], bounce, turn)
+            share = _weight(p)
             for level in range(LEVELS):
                 c = cells[p, level]
-                linked[c] += _1
+                linked[c] += share
                 if link_cell[p] >= 0 and row >= 0:
                     for k in range(3):
-                        total[c, k] += probes.carry[p, k] * radiosity[row, link_cell[p], k]
+                        total[c, k] += share * probes.carry[p, k] * radiosity[row, link_cell[p], k]
         # Coarse cells first: they stand in for what the finer ones have not seen.
         for level in range(LEVELS - 1, -1, -1):
             for c in range(n_cells):
@@ -251,6 +254,12 @@ def _solve(probes, cells, link_cell, parent, level_of, prior, radiosity, direct,
                     if up >= 0:
                         own += weight * radiosity[bounce, up, k]
                     radiosity[bounce, c, k] = own / max(number[c] + weight, np.float32(1e-6))
+
+
+@inlined
+def _weight(p):
+    """Of probe p in the means: what the visible points see counts, and other parts of the same cell less."""
+    return _1 if p % DEPTH == 0 else LATER
 
 
 @inlined

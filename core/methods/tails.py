@@ -125,9 +125,10 @@ def path_light(
         if t > near:
             cell = find_cell(cache, x, y, z, gx, gy, gz, uniform(seed, path, at, 60), uniform(seed, path, at, 61))
             if cell >= 0:
-                er += wr * cache.radiosity[left, cell, 0]
-                eg += wg * cache.radiosity[left, cell, 1]
-                eb += wb * cache.radiosity[left, cell, 2]
+                row = min(left, len(cache.radiosity) - 1)
+                er += wr * cache.radiosity[row, cell, 0]
+                eg += wg * cache.radiosity[row, cell, 1]
+                eb += wb * cache.radiosity[row, cell, 2]
                 break
         wx, wy, wz = -dx, -dy, -dz
     return er, eg, eb
@@ -140,16 +141,24 @@ def _tail_chunk(scene, cache, near, points, begin, end, bounces, seed, out):
     surface = np.zeros(SURFACE, np.float32)
     lobe = np.zeros(LOBE, np.float32)
     for i in range(begin, end):
+        weight = _0
+        for c in range(3):
+            weight = max(weight, points.albedo[i, c] + max(points.f0[i, c], points.f90[i, c]))
+        if not weight > _0:
+            continue
+        # Albedos may be weighted: a path is judged by what it loses on its way alone.
+        inverse = _1 / weight
         surface[:] = _0
         for c in range(3):
-            surface[layout.DIFFUSE + c] = points.albedo[i, c]
-            surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c] = points.f0[i, c], points.f90[i, c]
+            surface[layout.DIFFUSE + c] = inverse * points.albedo[i, c]
+            surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c] = inverse * points.f0[i, c], inverse * points.f90[i, c]
         surface[ROUGHNESS] = points.roughness[i]
-        out[i, 0], out[i, 1], out[i, 2] = path_light(
-            scene, packet, rows, surface, lobe, cache, near, points.position[i, 0], points.position[i, 1], points.position[i, 2], points.error[i],
-            points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
+        r, g, b = path_light(
+            scene, packet, rows, surface, lobe, cache, near, points.position[i, 0], points.position[i, 1], points.position[i, 2],
+            points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
             points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], bounces, seed, np.uint32(i),
         )  # fmt: skip
+        out[i, 0], out[i, 1], out[i, 2] = weight * r, weight * g, weight * b
 
 
 def tail_light(

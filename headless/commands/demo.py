@@ -16,7 +16,7 @@ from ..sources import open_source
 
 SCENE = "atrium"
 SIZE = (640, 360)
-SETTINGS = RenderSettings(vpls=1024, pixel_samples=8)
+SETTINGS = RenderSettings()
 LIGHT = ("Combined", "Direct", "Indirect", "Irradiance")
 
 
