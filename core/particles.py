@@ -50,7 +50,8 @@ class Vpls(NamedTuple):
     """M virtual point lights: small patches that shine with a cosine about their normal.
 
     position: (M, 3) float32.  error: (M,) float32, rounding error of the position (m).  normal: (M, 3) float32,
-    unit geometric normal on the lit side, or the direction of a glossy reflection.  flux: (M, 3) float32, W leaving (what
+    unit geometric normal on the lit side, or the direction of a glossy reflection.  surface_normal: (M, 3) float32, the
+    geometric normal in any case.  flux: (M, 3) float32, W leaving (what
     the surface itself hides of a glossy reflection included); the irradiance at a point x is flux / pi * cos cos' / r^2.
     emitter: (M,) int32, where the light came from.  bounce: (M,) int32, 1 for light that left one surface.
     """
@@ -58,6 +59,7 @@ class Vpls(NamedTuple):
     position: np.ndarray
     error: np.ndarray
     normal: np.ndarray
+    surface_normal: np.ndarray
     flux: np.ndarray
     emitter: np.ndarray
     bounce: np.ndarray
@@ -66,7 +68,7 @@ class Vpls(NamedTuple):
     def allocate(n: int) -> Vpls:
         """Room for n lights, not set."""
         f, e = np.float32, np.empty
-        return Vpls(e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32))
+        return Vpls(e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32))
 
     def take(self, index) -> Vpls:
         """The lights at `index` (anything that indexes an array)."""
@@ -237,6 +239,7 @@ def _trace_particles(scene, begin, end, survivors, bounces, seed, vpls):
                         flying[lane] = False
                         continue
                     ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, wx, wy, wz)
+                    vpls.surface_normal[n, 0], vpls.surface_normal[n, 1], vpls.surface_normal[n, 2] = gx, gy, gz
                     if glossy:
                         # Shadow rays move it along w alone, which may graze the surface.
                         x, y, z, gx, gy, gz = ox, oy, oz, wx, wy, wz

@@ -166,7 +166,9 @@ def _direct(
 
 def _sampler(run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> ImportanceSampling | None:
     """The accurate method with its cache of light filled, which reflections use, too."""
-    if settings.method != "importance-sampling" or settings.bounces < 1 or len(points.pixel) == 0:
+    if settings.method != "importance-sampling" or settings.bounces < 1 or not tables.emitters.flux.any():
+        return None
+    if not points.albedo.any() and not has_lobes(points):
         return None
     with run.stage("cache") as tick:
         sampler = ImportanceSampling(
@@ -213,7 +215,7 @@ def _indirect(
         run.rays["shadow"] += counts["shadow"]
         if counts["useless"]:
             run.skipped.append(Skipped("vpls", f"{counts['useless']} of {counts['traced']} VPLs lie behind every visible point"))
-    if len(vpls.bounce) == 0 and not sampler:
+    if len(vpls.bounce) == 0 and sampler is None:
         run.skipped.append(Skipped("vpls", "no lamp's light reaches a surface"))
         return nothing, Vpls.allocate(0)
     with run.stage("indirect") as tick:

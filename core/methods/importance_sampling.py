@@ -338,7 +338,7 @@ class ImportanceSampling:
 
     def shares(self, vpls: Vpls) -> np.ndarray:
         """Part of each VPL's light that is the virtual lights' to carry where G is below the clamp, (M,) float32."""
-        cell = look_up(self.cache, vpls.position, vpls.normal, self.seed + 2)
+        cell = look_up(self.cache, vpls.position, vpls.surface_normal, self.seed + 2)
         bright = (
             np.where(cell >= 0, self.cache.bright[np.maximum(cell, 0)], np.float32(0)) if len(self.cache.bright) else np.zeros(len(cell))
         )

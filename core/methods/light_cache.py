@@ -27,6 +27,7 @@ PRIOR = 2.0  # a coarser cell counts as this many probes of the finer one
 LATER = np.float32(0.2)  # weight of probes that no visible point has met itself
 GUIDES = 4  # every so-manyth path tells how bright cells are
 GUIDE_PRIOR = 4.0
+MOST_TURNS = 8  # of glossy reflections in the cache
 MISSED, DIFFUSE_LINK, GLOSSY_LINK = 0, 1, 2
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -210,8 +211,11 @@ def _links(probes, cache, seed, link_cell):
 
 
 @kernel
-def _solve(probes, cells, link_cell, parent, level_of, prior, radiosity, direct, total, linked, number):
-    """Radiosity (B, C, 3) of all cells after each bounce, by the links of their probes; the other arrays are scratch."""
+def _solve(probes, cells, link_cell, parent, level_of, prior, turns, radiosity, direct, total, linked, number):
+    """Radiosity (B, C, 3) of all cells after each bounce, by the links of their probes; the other arrays are scratch.
+
+    turns: rounds for each bounce, as many as glossy reflections follow one another.
+    """
     n_cells = len(parent)
     number[:] = _0
     direct[:] = _0
@@ -224,15 +228,17 @@ def _solve(probes, cells, link_cell, parent, level_of, prior, radiosity, direct,
             number[c] += weight
             for k in range(3):
                 direct[c, k] += weight * probes.direct[p, k]
-    # Glossy links take no bounce: they carry what a first round has found for the same number of them.
-    for turn in range(2 * len(radiosity)):
-        bounce = turn // 2
+    # Glossy links take no bounce: what they carry is found turn by turn.
+    for turn in range(turns * len(radiosity)):
+        bounce = turn // turns
+        if turn % turns == 0 and turns > 1 and bounce > 0:
+            radiosity[bounce] = radiosity[bounce - 1]
         total[:] = _0
         linked[:] = _0
         for p in range(len(probes.valid)):
             if not probes.valid[p] or link_cell[p] == -1 or _guides(p):
                 continue
-            row = _row(probes.link[p], bounce, turn)
+            row = bounce if probes.link[p] == GLOSSY_LINK else bounce - 1
             share = _weight(p)
             for level in range(LEVELS):
                 c = cells[p, level]
@@ -263,12 +269,6 @@ def _weight(p):
 
 
 @inlined
-def _row(link, bounce, turn):
-    """Row of the radiosity that a link carries to row `bounce`, -1 for none."""
-    return bounce if link == GLOSSY_LINK and turn % 2 == 1 else bounce - 1
-
-
-@inlined
 def _guides(p):
     """Whether probe p belongs to the paths that tell how bright a cell is: other ones than those that its light is from."""
     return (p // DEPTH) % GUIDES == 0
@@ -281,7 +281,7 @@ def _brightness(probes, cells, link_cell, parent, level_of, prior, radiosity, br
         if not probes.valid[p] or not _guides(p) or link_cell[p] == -1:
             continue
         light = probes.direct[p, 0] + probes.direct[p, 1] + probes.direct[p, 2]
-        row = _row(probes.link[p], len(radiosity) - 1, 1)
+        row = len(radiosity) - (1 if probes.link[p] == GLOSSY_LINK else 2)
         if link_cell[p] >= 0 and row >= 0:
             for k in range(3):
                 light += probes.carry[p, k] * radiosity[row, link_cell[p], k]
@@ -336,9 +336,16 @@ def build_light_cache(probes: Probes, bounces: int, seed: int) -> LightCache:
     link_cell = np.empty(len(probes.valid), np.int64)
     _links(probes, cache, np.uint32(seed), link_cell)
     vectors, numbers = np.zeros((2, count, 3), np.float32), np.zeros((2, count), np.float32)
-    _solve(probes, cells, link_cell, parent, level_of, np.float32(PRIOR), radiosity, *vectors, *numbers)
+    _solve(probes, cells, link_cell, parent, level_of, np.float32(PRIOR), _glossy_turns(probes), radiosity, *vectors, *numbers)
     _brightness(probes, cells, link_cell, parent, level_of, np.float32(GUIDE_PRIOR), radiosity, cache.bright, np.zeros(count, np.float32))
     return cache
+
+
+def _glossy_turns(probes: Probes) -> int:
+    """Rounds after which chains of glossy reflections carry less than a hundredth of what they began with."""
+    glossy = probes.link == GLOSSY_LINK
+    kept = float(probes.carry[glossy].mean(axis=1).sum()) / max(1, int((probes.valid > 0).sum()))
+    return 1 + (int(np.clip(np.ceil(np.log(0.01) / np.log(min(kept, 0.8))), 1, MOST_TURNS)) if kept > 0 else 0)
 
 
 @kernel

@@ -122,13 +122,12 @@ def path_light(
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
         if gx * dx + gy * dy + gz * dz > 0:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
-        if t > near:
+        if t > near and left < len(cache.radiosity):
             cell = find_cell(cache, x, y, z, gx, gy, gz, uniform(seed, path, at, 60), uniform(seed, path, at, 61))
             if cell >= 0:
-                row = min(left, len(cache.radiosity) - 1)
-                er += wr * cache.radiosity[row, cell, 0]
-                eg += wg * cache.radiosity[row, cell, 1]
-                eb += wb * cache.radiosity[row, cell, 2]
+                er += wr * cache.radiosity[left, cell, 0]
+                eg += wg * cache.radiosity[left, cell, 1]
+                eb += wb * cache.radiosity[left, cell, 2]
                 break
         wx, wy, wz = -dx, -dy, -dz
     return er, eg, eb

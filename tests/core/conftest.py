@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lumigate.core import scene as sc
-from lumigate.core.surfaces.layout import DIFFUSE, EMISSION, SURFACE
+from lumigate.core.surfaces.layout import DIFFUSE, EMISSION, GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE
 from lumigate.core.surfaces.program import empty_tables
 
 
@@ -21,6 +21,15 @@ def materials(*surfaces):
             flags[i] |= sc.EMISSIVE
     tables = empty_tables()._replace(flags=flags, constant=constant, start=np.zeros(len(surfaces), np.int32))
     return sc.Materials([f"material {i}" for i in range(len(surfaces))], tables)
+
+
+def glossy_materials(*surfaces, albedo, roughness):
+    """`materials`, each with a glossy lobe of one albedo from every side."""
+    stuff = materials(*surfaces)
+    stuff.tables.constant[:, GLOSSY_F0 : GLOSSY_F0 + 3] = stuff.tables.constant[:, GLOSSY_F90 : GLOSSY_F90 + 3] = albedo
+    stuff.tables.constant[:, ROUGHNESS] = roughness
+    stuff.tables.flags[:] |= sc.GLOSSY_LOBE
+    return stuff
 
 
 def geometry(vertices, triangles, material=None, corner_normals=None):
@@ -94,4 +103,12 @@ def scene(geometry, materials, *, lamps=None, world=(0, 0, 0), camera=None):
 @pytest.fixture(scope="session")
 def build():
     """The builders above, by name."""
-    return SimpleNamespace(materials=materials, geometry=geometry, quads=quads, icosphere=icosphere, camera=camera, scene=scene)
+    return SimpleNamespace(
+        materials=materials,
+        glossy_materials=glossy_materials,
+        geometry=geometry,
+        quads=quads,
+        icosphere=icosphere,
+        camera=camera,
+        scene=scene,
+    )

@@ -7,10 +7,7 @@ from lumigate.core import scene as sc
 from lumigate.core.lamps import build_emitters
 from lumigate.core.methods.instant_radiosity import InstantRadiosity, clamp_of
 from lumigate.core.particles import Vpls, trace_particles
-from lumigate.core.pipeline import render
 from lumigate.core.rays import RayScene
-from lumigate.core.settings import RenderSettings
-from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS
 from lumigate.core.transport import transport
 from lumigate.core.view.points import ShadingPoints
 
@@ -35,48 +32,6 @@ def tables_of(scene):
     return transport(scene.geometry, scene.materials.tables, rays.tables, build_emitters(scene)), rays
 
 
-@pytest.fixture(scope="module")
-def sphere(build):
-    """A closed sphere, radiance 1 W/m^2/sr, albedo 0.5, seen from its middle."""
-    return build.scene(build.geometry(*build.icosphere(4)), build.materials((0.5, 1.0)), camera=build.camera(width=24, height=24))
-
-
-@pytest.mark.parametrize("bounces", [1, 2, 4, 32])
-def test_sphere_interior(sphere, bounces):
-    # Every point of the wall sees radiance 1 everywhere: direct pi, and rho^k pi more after k bounces.
-    settings = RenderSettings(vpls=512, bounces=bounces, pixel_samples=1, direct_samples=16, seed=3)
-    layers = render(sphere, settings).layers
-    expected = np.pi * sum(0.5**k for k in range(1, bounces + 1))
-    assert layers["Irradiance"].mean() == pytest.approx(expected, rel=0.005)
-
-
-def glossy_materials(build, *surfaces, albedo, roughness):
-    """The materials of `build`, each with a glossy lobe of one albedo from every side."""
-    stuff = build.materials(*surfaces)
-    stuff.tables.constant[:, GLOSSY_F0 : GLOSSY_F0 + 3] = stuff.tables.constant[:, GLOSSY_F90 : GLOSSY_F90 + 3] = albedo
-    stuff.tables.constant[:, ROUGHNESS] = roughness
-    stuff.tables.flags[:] |= sc.GLOSSY_LOBE
-    return stuff
-
-
-@pytest.mark.parametrize("roughness", [0.05, 0.6])
-@pytest.mark.parametrize("bounces", [1, 4])
-def test_glossy_sphere_interior(build, bounces, roughness):
-    # Diffuse albedo d and glossy albedo g: only diffuse reflections count, so that m of them stand for the sum
-    # over all numbers of glossy ones between them, d^m / (1 - g)^(m + 1), times d + g for the first after the light.
-    d, g = 0.4, 0.2
-    scene = build.scene(
-        build.geometry(*build.icosphere(4)),
-        glossy_materials(build, (d, 1.0), albedo=g, roughness=roughness),
-        camera=build.camera(width=24, height=24),
-    )
-    pictures = [render(scene, RenderSettings(vpls=1024, bounces=bounces, pixel_samples=1, seed=seed)).layers for seed in range(4)]
-    irradiance, glossy = (np.mean([layers[name] for layers in pictures]) for name in ("Irradiance", "GlossyIndirect"))
-    terms = [(d + g) * d**m / (1 - g) ** (m + 1) for m in range(bounces + 1)]
-    assert irradiance == pytest.approx(np.pi * sum(terms[:bounces]), rel=0.01)
-    assert glossy == pytest.approx(g * sum(terms), rel=0.02)
-
-
 def sun(direction, irradiance):
     """Parallel light that falls along `direction`."""
     z = -np.asarray(direction, float) / np.linalg.norm(direction)
@@ -95,7 +50,7 @@ def test_a_glossy_floor_sends_light_onwards(build):
     floor = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
     slant = np.array([np.sin(1.0), 0, -np.cos(1.0)])
     scene = build.scene(
-        build.geometry(*build.quads(floor)), glossy_materials(build, (0.0, 0.0), albedo=0.8, roughness=0.0), lamps=sun(slant, 2.0)
+        build.geometry(*build.quads(floor)), build.glossy_materials((0.0, 0.0), albedo=0.8, roughness=0.0), lamps=sun(slant, 2.0)
     )
     tables, rays = tables_of(scene)
     with rays:
@@ -116,19 +71,6 @@ def test_a_glossy_floor_sends_light_onwards(build):
     assert lit.mean() * 2 * np.pi * 1000**2 == pytest.approx(share * expected, rel=0.01)
     centre = (out * lit[:, None]).sum(0) / lit.sum()
     assert centre[0] > 0.4  # with a diffuse floor, 0
-
-
-def test_sphere_interior_direct(sphere):
-    # Thousands of emissive triangles, some at a grazing hair's breadth: noisy, so many samples.
-    layers = render(sphere, RenderSettings(vpls=8, bounces=1, pixel_samples=1, direct_samples=1024, seed=3)).layers
-    assert layers["Direct"].mean() * np.pi / 0.5 == pytest.approx(np.pi, rel=0.005)
-
-
-def test_layers_add_up(sphere):
-    layers = render(sphere, RenderSettings(vpls=64, pixel_samples=4)).layers
-    total = layers["Direct"] + layers["Indirect"] + layers["Emission"]
-    assert np.allclose(layers["Combined"], total, rtol=1e-6)
-    assert np.allclose(layers["Indirect"], layers["DiffuseIndirect"] + layers["GlossyIndirect"], rtol=1e-6)
 
 
 def parallel_squares_form_factor(side, distance):
@@ -207,27 +149,6 @@ def corner_irradiance(x):
     z, y = np.meshgrid((z[1:] + z[:-1]) / 2, (y[1:] + y[:-1]) / 2, indexing="ij")
     on_wall = 0.8 / (0.8**2 + y**2 + (z - 0.8) ** 2) ** 1.5
     return (0.7 * on_wall / np.pi * z * x / (x * x + y * y + z * z) ** 2 * area).sum()
-
-
-def test_same_bits_for_any_number_of_threads(sphere):
-    a, b = (render(sphere, RenderSettings(vpls=128, pixel_samples=4, threads=threads, seed=7)).layers for threads in (1, 3))
-    assert all(np.array_equal(a[name], b[name]) for name in a)
-
-
-def test_seeds_differ_and_agree_in_the_mean(sphere):
-    a, b = (render(sphere, RenderSettings(vpls=256, pixel_samples=4, seed=seed)).layers["DiffuseIndirect"] for seed in (1, 2))
-    assert not np.array_equal(a, b)
-    assert a.mean() == pytest.approx(b.mean(), rel=0.01)
-
-
-def test_no_light_and_no_albedo_are_skipped_not_computed(build):
-    dark = build.scene(build.geometry(*build.icosphere(1)), build.materials((0.5, 0.0)))
-    black = build.scene(build.geometry(*build.icosphere(1)), build.materials((0.0, 1.0)))
-    for scene in (dark, black):
-        result = render(scene, RenderSettings(vpls=64, pixel_samples=1))
-        assert not result.layers["Indirect"].any()
-        assert any(s["stage"] == "vpls" for s in result.stats["skipped"])
-        assert result.stats["rays"]["light"] < 5000
 
 
 def test_clamp_without_light_is_no_clamp():

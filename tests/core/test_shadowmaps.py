@@ -86,7 +86,7 @@ def room(build):
 
 
 def test_method_agrees_with_rays(room):
-    common = {"vpls": 256, "pixel_samples": 4, "compensation": False, "bounces": 2, "seed": 2}
+    common = {"method": "instant-radiosity", "vpls": 256, "pixel_samples": 4, "compensation": False, "bounces": 2, "seed": 2}
     rays = render(room, RenderSettings(visibility="rays", **common)).layers
     mapped = render(room, RenderSettings(visibility="shadow-maps", **common)).layers
     none = render(room, RenderSettings(visibility="none", **common)).layers

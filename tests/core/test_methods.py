@@ -1,0 +1,90 @@
+"""What every method must fulfil: closed forms, layers that add up, the same bits for any number of threads."""
+
+import numpy as np
+import pytest
+
+from lumigate.core.pipeline import AVAILABLE as METHODS
+from lumigate.core.pipeline import render
+from lumigate.core.settings import RenderSettings
+
+
+@pytest.fixture(scope="module")
+def sphere(build):
+    """A closed sphere, radiance 1 W/m^2/sr, albedo 0.5, seen from its middle."""
+    return build.scene(build.geometry(*build.icosphere(4)), build.materials((0.5, 1.0)), camera=build.camera(width=24, height=24))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("bounces", [1, 2, 4, 32])
+def test_sphere_interior(sphere, method, bounces):
+    # Every point of the wall sees radiance 1 everywhere: direct pi, and rho^k pi more after k bounces.
+    settings = RenderSettings(method=method, vpls=512, bounces=bounces, pixel_samples=1, direct_samples=16, seed=3)
+    layers = render(sphere, settings).layers
+    expected = np.pi * sum(0.5**k for k in range(1, bounces + 1))
+    assert layers["Irradiance"].mean() == pytest.approx(expected, rel=0.005)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("roughness", [0.05, 0.6])
+@pytest.mark.parametrize("bounces", [1, 4])
+def test_glossy_sphere_interior(build, method, bounces, roughness):
+    # Diffuse albedo d and glossy albedo g: only diffuse reflections count, so that m of them stand for the sum
+    # over all numbers of glossy ones between them, d^m / (1 - g)^(m + 1), times d + g for the first after the light.
+    d, g = 0.4, 0.2
+    scene = build.scene(
+        build.geometry(*build.icosphere(4)),
+        build.glossy_materials((d, 1.0), albedo=g, roughness=roughness),
+        camera=build.camera(width=24, height=24),
+    )
+    pictures = [
+        render(
+            scene, RenderSettings(method=method, vpls=1024, bounces=bounces, pixel_samples=1, direct_samples=16, reflections=8, seed=seed)
+        ).layers
+        for seed in range(4)
+    ]
+    irradiance, glossy = (np.mean([layers[name] for layers in pictures]) for name in ("Irradiance", "GlossyIndirect"))
+    terms = [(d + g) * d**m / (1 - g) ** (m + 1) for m in range(bounces + 1)]
+    assert irradiance == pytest.approx(np.pi * sum(terms[:bounces]), rel=0.01)
+    assert glossy == pytest.approx(g * sum(terms), rel=0.02)
+
+
+def test_sphere_interior_direct(sphere):
+    # Thousands of emissive triangles, some at a grazing hair's breadth: noisy, so many samples.
+    layers = render(
+        sphere, RenderSettings(method="instant-radiosity", vpls=8, bounces=1, pixel_samples=1, direct_samples=1024, seed=3)
+    ).layers
+    assert layers["Direct"].mean() * np.pi / 0.5 == pytest.approx(np.pi, rel=0.005)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_layers_add_up(sphere, method):
+    layers = render(sphere, RenderSettings(method=method, vpls=64, pixel_samples=4)).layers
+    total = layers["Direct"] + layers["Indirect"] + layers["Emission"]
+    assert np.allclose(layers["Combined"], total, rtol=1e-6)
+    assert np.allclose(layers["Indirect"], layers["DiffuseIndirect"] + layers["GlossyIndirect"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_same_bits_for_any_number_of_threads(sphere, method):
+    a, b = (render(sphere, RenderSettings(method=method, vpls=128, pixel_samples=4, threads=threads, seed=7)).layers for threads in (1, 3))
+    assert all(np.array_equal(a[name], b[name]) for name in a)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_seeds_differ_and_agree_in_the_mean(sphere, method):
+    a, b = (
+        render(sphere, RenderSettings(method=method, vpls=256, pixel_samples=4, seed=seed)).layers["DiffuseIndirect"] for seed in (1, 2)
+    )
+    assert not np.array_equal(a, b)
+    assert a.mean() == pytest.approx(b.mean(), rel=0.01)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_light_and_no_albedo_are_skipped_not_computed(build, method):
+    dark = build.scene(build.geometry(*build.icosphere(1)), build.materials((0.5, 0.0)))
+    black = build.scene(build.geometry(*build.icosphere(1)), build.materials((0.0, 1.0)))
+    for scene in (dark, black):
+        result = render(scene, RenderSettings(method=method, vpls=64, pixel_samples=1))
+        assert not result.layers["Indirect"].any()
+        assert any(s["stage"] == "vpls" for s in result.stats["skipped"])
+        assert result.stats["rays"]["light"] < 5000
