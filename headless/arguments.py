@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .. import __version__, sample_scenes
@@ -278,11 +278,18 @@ def _add_render_settings(parser: Parser) -> None:
 
 
 def _render_settings(parser: Parser, given: dict) -> RenderSettings:
-    """The request that the parsed options make; an option of a method that was not asked for is an error."""
+    """The request that the parsed options make.
+
+    An option that only one method reads chooses that method; beside the name of another one it is an error.
+    """
     settings = RenderSettings(**{name: given[name] for name in RenderSettings.__dataclass_fields__ if name in given})
     for method, options in METHOD_OPTIONS.items():
         for option in options:
-            if option.field in given and settings.method not in ("auto", method):
+            if option.field not in given:
+                continue
+            if settings.method == "auto":
+                settings = replace(settings, method=method)
+            elif settings.method != method:
                 parser.error(f"{option.flag} belongs to --method {method}, not to {settings.method}")
     return settings
 

@@ -52,17 +52,17 @@ from ..transport import Transport
 from ..view.points import ShadingPoints
 from ..vpl_pool import vpl_pool
 from .instant_radiosity import clamp_of
-from .light_cache import LightCache, build_light_cache, find_cell, look_up, seen_light
+from .light_cache import NEAR, LightCache, build_light_cache, find_cell, look_up, seen_light
 from .probes import trace_probes
 from .tails import path_light
 
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
 BLOCK = 16  # of them, summed together
+PICKS = 8  # of a subset: more of them go to further subsets
 PATHS = 0.035  # of the cache, for each ray of the points
 MIN_PATHS = 20000
 BATCHES = 4  # of particles: those whose light gather rays carry need not be many
-NEAR = 2.0  # cells: surfaces nearer than this are not looked up but followed on
 LARGE = np.float32(1e4)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -254,7 +254,7 @@ def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, li
 def _sample_lights(scene, points, vpls, lights, begin, end, samples, first, g_max, cutouts, seed, out):
     """Adds to the points begin..end-1 the light of VPLs picked by what they give unshadowed; the shadow rays traced.
 
-    Each point looks at one of the subsets of `lights` (S, 7, K), drawn by a hash.
+    Each point looks at a few of the subsets of `lights` (S, 7, K), drawn by a hash.
     """
     size = lights.shape[2]
     owner, light, value = np.empty(WIDTH, np.int64), np.empty(WIDTH, np.int64), np.empty(WIDTH, np.float32)
@@ -272,39 +272,46 @@ def _sample_lights_leaf(
 ):  # fmt: skip
     """`_sample_lights`, its scratch given: it counts no references."""
     subsets = len(lights)
+    looks = min(max(1, samples // PICKS), subsets)
     n = np.int64(0)
     rays = 0
     for k in range(begin, end):
         key = hash_combine(hash_combine(seed, k), first)
-        chosen = min(np.int64(uniform(key, 0, 0, 0) * np.float32(subsets)), subsets - 1)
-        total = _light_up(
-            lights, chosen, points.position[k, 0], points.position[k, 1], points.position[k, 2],
-            points.ns[k, 0], points.ns[k, 1], points.ns[k, 2], points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], g_max, f, blocks,
-        )  # fmt: skip
-        if not total > _0:
-            continue
-        each = total * np.float32(subsets) / np.float32(samples)
-        block = at = 0
-        upto, inside = blocks[0], f[0]
-        shift = uniform(key, 0, 0, 1)
-        for s in range(samples):
-            target = (np.float32(s) + shift) / np.float32(samples) * total
-            while block + 1 < len(blocks) and upto <= target:
-                block += 1
-                at = block * BLOCK
-                inside = upto + f[at]
-                upto += blocks[block]
-            while at + 1 < (block + 1) * BLOCK and inside <= target:
-                at += 1
-                inside += f[at]
-            if not f[at] > _0:
+        start = uniform(key, 0, 0, 0)
+        done = 0
+        for look in range(looks):
+            picks = (samples - done) // (looks - look)
+            done += picks
+            # Spread over the subsets, each of which is as likely as the others.
+            chosen = np.int64((start + np.float32(look) / np.float32(looks)) * np.float32(subsets)) % subsets
+            total = _light_up(
+                lights, chosen, points.position[k, 0], points.position[k, 1], points.position[k, 2],
+                points.ns[k, 0], points.ns[k, 1], points.ns[k, 2], points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], g_max, f, blocks,
+            )  # fmt: skip
+            if not total > _0:
                 continue
-            owner[n], light[n], value[n] = k, chosen + at * subsets, each
-            n += 1
-            rays += 1
-            if n == WIDTH:
-                _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, n, out)
-                n = np.int64(0)
+            each = total * np.float32(subsets) / np.float32(looks * picks)
+            block = at = 0
+            upto, inside = blocks[0], f[0]
+            shift = uniform(key, look, 0, 1)
+            for s in range(picks):
+                target = (np.float32(s) + shift) / np.float32(picks) * total
+                while block + 1 < len(blocks) and upto <= target:
+                    block += 1
+                    at = block * BLOCK
+                    inside = upto + f[at]
+                    upto += blocks[block]
+                while at + 1 < (block + 1) * BLOCK and inside <= target:
+                    at += 1
+                    inside += f[at]
+                if not f[at] > _0:
+                    continue
+                owner[n], light[n], value[n] = k, chosen + at * subsets, each
+                n += 1
+                rays += 1
+                if n == WIDTH:
+                    _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, n, out)
+                    n = np.int64(0)
     if n > 0:
         _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, n, out)
     return rays
@@ -381,5 +388,6 @@ class ImportanceSampling:
             return rays
 
         self.rays += sum(run_chunks(work, n, CHUNK, self.threads, progress))
-        self.pairs += n * self.lights.shape[2]
+        looks = min(max(1, self.samples // PICKS), len(self.lights))
+        self.pairs += n * looks * self.lights.shape[2]
         return out

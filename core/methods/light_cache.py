@@ -25,6 +25,9 @@ LEVELS = 4  # cells of 1, 3, 9 and 27 sizes: the coarser ones answer where the f
 GROWTH = 3.0
 PRIOR = 2.0  # a coarser cell counts as this many probes of the finer one
 LATER = np.float32(0.2)  # weight of probes that no visible point has met itself
+NEAR = 2.0  # cells: surfaces nearer than this are not looked up but followed on
+BALANCE = np.float32(50.0)  # probes of mean brightness that the balance of the whole view counts for in each place
+MOST_BALANCE = np.float32(1.5)
 GUIDES = 4  # every so-manyth path tells how bright cells are
 GUIDE_PRIOR = 4.0
 MOST_TURNS = 8  # of glossy reflections in the cache
@@ -42,7 +45,7 @@ class Probes(NamedTuple):
     carry: (N, 3) float32, the same for each unit that the linked surface sends.
     link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
     reflection, 2 by a glossy one.
-    valid: (N,) uint8, whether the path came so far.
+    distance: (N,) float32, from where the path came (m).  valid: (N,) uint8, whether the path came so far.
     """
 
     position: np.ndarray
@@ -52,13 +55,14 @@ class Probes(NamedTuple):
     link_position: np.ndarray
     link_normal: np.ndarray
     link: np.ndarray
+    distance: np.ndarray
     valid: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> Probes:
         """Room for n probes, none of them valid."""
         rows = [np.zeros((n, 3), np.float32) for _ in range(6)]
-        return Probes(*rows, np.zeros(n, np.uint8), np.zeros(n, np.uint8))
+        return Probes(*rows, np.zeros(n, np.uint8), np.zeros(n, np.float32), np.zeros(n, np.uint8))
 
 
 class LightCache(NamedTuple):
@@ -211,61 +215,98 @@ def _links(probes, cache, seed, link_cell):
 
 
 @kernel
-def _solve(probes, cells, link_cell, parent, level_of, prior, turns, radiosity, direct, total, linked, number):
+def _solve(probes, cells, link_cell, seen_cell, parent, root, level_of, prior, near, turns, radiosity, direct, total, linked, number, sums):
     """Radiosity (B, C, 3) of all cells after each bounce, by the links of their probes; the other arrays are scratch.
 
-    turns: rounds for each bounce, as many as glossy reflections follow one another.
+    turns: rounds for each bounce, as many as glossy reflections follow one another.  seen_cell: (N,) the cell that a lookup
+    at each probe finds.  root: (C,) the coarsest cell around each.
     """
-    n_cells = len(parent)
     number[:] = _0
+    linked[:] = _0
     direct[:] = _0
     for p in range(len(probes.valid)):
         if not probes.valid[p] or _guides(p):
             continue
-        weight = _weight(p)
+        weight = _weight(probes, p, near)
         for level in range(LEVELS):
             c = cells[p, level]
             number[c] += weight
+            if link_cell[p] != -1:
+                linked[c] += weight
             for k in range(3):
                 direct[c, k] += weight * probes.direct[p, k]
+    _smooth(direct, number, parent, level_of, prior)
     # Glossy links take no bounce: what they carry is found turn by turn.
     for turn in range(turns * len(radiosity)):
         bounce = turn // turns
         if turn % turns == 0 and turns > 1 and bounce > 0:
             radiosity[bounce] = radiosity[bounce - 1]
         total[:] = _0
-        linked[:] = _0
         for p in range(len(probes.valid)):
-            if not probes.valid[p] or link_cell[p] == -1 or _guides(p):
-                continue
             row = bounce if probes.link[p] == GLOSSY_LINK else bounce - 1
-            share = _weight(p)
-            for level in range(LEVELS):
-                c = cells[p, level]
-                linked[c] += share
-                if link_cell[p] >= 0 and row >= 0:
-                    for k in range(3):
-                        total[c, k] += share * probes.carry[p, k] * radiosity[row, link_cell[p], k]
-        # Coarse cells first: they stand in for what the finer ones have not seen.
-        for level in range(LEVELS - 1, -1, -1):
-            for c in range(n_cells):
-                if level_of[c] != level:
-                    continue
-                up = parent[c]
-                weight = prior if up >= 0 else _0
-                for k in range(3):
-                    own = direct[c, k]
-                    if linked[c] > 0:
-                        own += total[c, k] * (number[c] / linked[c])
-                    if up >= 0:
-                        own += weight * radiosity[bounce, up, k]
-                    radiosity[bounce, c, k] = own / max(number[c] + weight, np.float32(1e-6))
+            if link_cell[p] < 0 or row < 0 or _guides(p):
+                continue
+            weight = _weight(probes, p, near)
+            for k in range(3):
+                light = weight * probes.carry[p, k] * radiosity[row, link_cell[p], k]
+                for level in range(LEVELS):
+                    total[cells[p, level], k] += light
+        _smooth(total, linked, parent, level_of, prior)
+        radiosity[bounce] = direct + total
+        _balance(probes, link_cell, seen_cell, root, near, bounce, radiosity, sums)
+
+
+@kernel
+def _balance(probes, link_cell, seen_cell, root, near, bounce, radiosity, sums):
+    """Scales the cells of each coarsest one so that lookups find as much light there as the probes themselves sent.
+
+    What is looked up from afar lies brighter than what hides close by; smoothing over both takes from the first.
+    """
+    sums[:] = _0
+    for p in range(0, len(probes.valid), DEPTH):
+        if not probes.valid[p] or probes.distance[p] <= near or _guides(p) or link_cell[p] == -1 or seen_cell[p] < 0:
+            continue
+        row = bounce if probes.link[p] == GLOSSY_LINK else bounce - 1
+        c = root[seen_cell[p]]
+        for k in range(3):
+            sums[c, 0] += probes.direct[p, k]
+            sums[c, 1] += radiosity[bounce, seen_cell[p], k]
+            if link_cell[p] >= 0 and row >= 0:
+                sums[c, 0] += probes.carry[p, k] * radiosity[row, link_cell[p], k]
+    sent = found = _0
+    for c in range(len(root)):
+        sent += sums[c, 0]
+        found += sums[c, 1]
+    if not found > _0:
+        return
+    for c in range(len(root)):
+        at = root[c]
+        # The factor of the whole view stands in where few probes know better.
+        trust = BALANCE * found / np.float32(max(1, len(probes.valid) // DEPTH))
+        factor = (sums[at, 0] + trust * sent / found) / max(sums[at, 1] + trust, np.float32(1e-30))
+        factor = min(MOST_BALANCE, max(_1 / MOST_BALANCE, factor))
+        for k in range(3):
+            radiosity[bounce, c, k] *= factor
+
+
+@kernel
+def _smooth(values, number, parent, level_of, prior):
+    """Turns the sums (C, 3) of cells into means; a coarser cell stands in for what a finer one has not seen."""
+    for level in range(LEVELS - 1, -1, -1):
+        for c in range(len(parent)):
+            if level_of[c] != level:
+                continue
+            up = parent[c]
+            weight = prior if up >= 0 else _0
+            for k in range(3):
+                own = values[c, k] + (weight * values[up, k] if up >= 0 else _0)
+                values[c, k] = own / max(number[c] + weight, np.float32(1e-6))
 
 
 @inlined
-def _weight(p):
-    """Of probe p in the means: what the visible points see counts, and other parts of the same cell less."""
-    return _1 if p % DEPTH == 0 else LATER
+def _weight(probes, p, near):
+    """Of probe p in the means: what is looked up counts, and other parts of the same cell less."""
+    return _1 if p % DEPTH == 0 and probes.distance[p] > near else LATER
 
 
 @inlined
@@ -335,8 +376,15 @@ def build_light_cache(probes: Probes, bounces: int, seed: int) -> LightCache:
     parent = _parents(cache, level_of, centre)
     link_cell = np.empty(len(probes.valid), np.int64)
     _links(probes, cache, np.uint32(seed), link_cell)
+    seen_cell = look_up(cache, probes.position, probes.normal, seed + 3)
+    root = np.arange(count)
+    for _ in range(LEVELS - 1):
+        root = np.where(parent[root] >= 0, parent[root], root)
     vectors, numbers = np.zeros((2, count, 3), np.float32), np.zeros((2, count), np.float32)
-    _solve(probes, cells, link_cell, parent, level_of, np.float32(PRIOR), _glossy_turns(probes), radiosity, *vectors, *numbers)
+    _solve(
+        probes, cells, link_cell, seen_cell, parent, root, level_of, np.float32(PRIOR), np.float32(NEAR * size), _glossy_turns(probes), radiosity, *vectors, *numbers,
+        np.zeros((count, 2), np.float32),
+    )  # fmt: skip
     _brightness(probes, cells, link_cell, parent, level_of, np.float32(GUIDE_PRIOR), radiosity, cache.bright, np.zeros(count, np.float32))
     return cache
 

@@ -22,6 +22,7 @@ from .light_cache import DEPTH, DIFFUSE_LINK, GLOSSY_LINK, Probes
 from .tails import DIMENSIONS, scatter_light
 
 CHUNK = 512  # paths a chunk
+LAMP_RAYS = 4  # shadow rays of a probe: what is stored serves many
 
 
 @leaf
@@ -38,7 +39,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
         probe = first + vertex
         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
         rays += 1
-        triangle, u, v, _, r, g, b = nearest_surface(
+        triangle, u, v, t, r, g, b = nearest_surface(
             scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), kinds, seed, path, at + 8
         )
         if triangle < 0:
@@ -58,12 +59,13 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
         if vertex == depth:
             return rays
         probes.valid[probe] = 1
+        probes.distance[probe] = t
         probes.position[probe, 0], probes.position[probe, 1], probes.position[probe, 2] = x, y, z
         probes.normal[probe, 0], probes.normal[probe, 1], probes.normal[probe, 2] = gx, gy, gz
         er, eg, eb, tx, ty, tz, r, g, b, kinds = scatter_light(
-            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, True, seed, path, at
+            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, LAMP_RAYS, True, seed, path, at
         )
-        rays += 1
+        rays += LAMP_RAYS
         probes.direct[probe, 0], probes.direct[probe, 1], probes.direct[probe, 2] = er, eg, eb
         probes.carry[probe, 0], probes.carry[probe, 1], probes.carry[probe, 2] = r, g, b
         if kinds == 0:

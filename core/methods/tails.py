@@ -41,11 +41,13 @@ DIMENSIONS = 100
 
 
 @leaf
-def scatter_light(scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, diffuse, seed, path, at):
+def scatter_light(
+    scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, lamp_rays, diffuse, seed, path, at
+):  # fmt: skip
     """What a surface sends towards w at first hand, and a ray that finds the rest.
 
     (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
-    overwritten.  lobe: (LOBE,) float32, scratch.  diffuse: whether the diffuse lobe may be drawn.  at: first dimension.
+    overwritten.  lobe: (LOBE,) float32, scratch.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn.  at: first dimension.
 
     Returns (er, eg, eb, dx, dy, dz, wr, wg, wb, kinds): pi times the radiance by direct light (W/m^2), the ray's
     direction, its weight and its kind, 0 where there is none.
@@ -55,11 +57,15 @@ def scatter_light(scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz
     roughness = surface[ROUGHNESS]
     f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
     f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]
-    r, g, b, cosine = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, at)
-    rise = glossy_rise(cosine, roughness)
-    er = r * (dr + f0r + rise * (f90r - f0r))
-    eg = g * (dg + f0g + rise * (f90g - f0g))
-    eb = b * (db + f0b + rise * (f90b - f0b))
+    er = eg = eb = _0
+    for k in range(lamp_rays):
+        r, g, b, cosine = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, at + 20 + k)
+        rise = glossy_rise(cosine, roughness)
+        er += r * (dr + f0r + rise * (f90r - f0r))
+        eg += g * (dg + f0g + rise * (f90g - f0g))
+        eb += b * (db + f0b + rise * (f90b - f0b))
+    share = _1 / np.float32(lamp_rays)
+    er, eg, eb = er * share, eg * share, eb * share
     set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b)
     glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
     dull = _THIRD * (dr + dg + db) if diffuse else _0
@@ -98,7 +104,7 @@ def path_light(
     for vertex in range(bounces + _MORE_SURFACES):
         at = vertex * DIMENSIONS
         r, g, b, dx, dy, dz, tr, tg, tb, kinds = scatter_light(
-            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, left > 0, seed, path, at
+            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, 1, left > 0, seed, path, at
         )
         er, eg, eb = er + wr * r, eg + wg * g, eb + wb * b
         if kinds == 0:

@@ -74,7 +74,7 @@ def test_result_goes_to_stdout_and_nothing_of_blenders(rendered, tmp_path, capfd
     assert main(["render", "cornell", "-o", str(tmp_path / "out.exr"), *SMALL]) == 0
     out, err = capfd.readouterr()
     assert out.count("\n") == 1
-    assert out.startswith(f"{tmp_path / 'out.exr'}: 16x12, instant-radiosity, ")
+    assert out.startswith(f"{tmp_path / 'out.exr'}: 16x12, importance-sampling, ")
     assert err == ""
 
 
@@ -107,6 +107,7 @@ def test_method_options_reach_the_settings():
     )
     settings = parsed.settings
     assert (settings.visibility, settings.compensation, settings.vpls, settings.denoise) == ("none", False, 7, False)
+    assert settings.method == "instant-radiosity"  # which alone reads them
     assert settings.seed == 0
 
 

@@ -93,7 +93,7 @@ def test_lobes_of_every_roughness(settings, metallic):
     scene = floors(**settings, metallic=metallic)
     reference, _ = render_layers(scene, ReferenceSettings(spp=384, size=SIZE, bounces=0))
     arrays = extract_scene(scene, size=SIZE)
-    ours = [render(arrays, RenderSettings(bounces=0, seed=seed)).layers["Direct"] for seed in range(SEEDS)]
+    ours = [render(arrays, RenderSettings(method="instant-radiosity", bounces=0, seed=seed)).layers["Direct"] for seed in range(SEEDS)]
     means, expected = np.array([floor_means(layer) for layer in ours]), np.array(floor_means(reference["Direct"]))
     noise = means.std(axis=0, ddof=1) / math.sqrt(SEEDS) / expected
     assert (noise < 0.015).all()
@@ -125,7 +125,7 @@ def test_the_camera_sees_lamps(kind):
     look(scene, (0.1, -3, 0.3), (math.pi / 2, 0, 0), type=kind, ortho_scale=9, lens=26)
     size = (65, 37)
     reference, _ = render_layers(scene, ReferenceSettings(spp=144, size=size, bounces=0))
-    ours = render(extract_scene(scene, size=size), RenderSettings(bounces=0, pixel_samples=64)).layers
+    ours = render(extract_scene(scene, size=size), RenderSettings(method="instant-radiosity", bounces=0, pixel_samples=64)).layers
     assert reference["Emission"].mean() > 0.05
     assert ours["Emission"].mean() == pytest.approx(reference["Emission"].mean(), rel=0.01)
     assert relmse(ours["Emission"], reference["Emission"]) < 0.01

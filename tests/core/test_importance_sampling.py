@@ -1,0 +1,153 @@
+"""Importance sampling with cached light: the cache's lookups, the partition of the light, and what converges."""
+
+import numpy as np
+import pytest
+
+from lumigate.core.lamps import build_emitters, world_tables
+from lumigate.core.methods.importance_sampling import ImportanceSampling
+from lumigate.core.methods.light_cache import DEPTH, Probes, build_light_cache, look_up, no_cache
+from lumigate.core.methods.probes import trace_probes
+from lumigate.core.rays import RayScene
+from lumigate.core.transport import transport
+from lumigate.core.view.primary import view
+
+
+@pytest.fixture(scope="module")
+def room(build):
+    """(transport tables, shading points) of a room with a lamp that hangs in it and a box on its floor; its ray scene is kept."""
+    corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    walls = [[corners[k] for k in face] for face in faces]
+    lamp = [(-0.2, -0.2, 0.5), (-0.2, 0.2, 0.5), (0.2, 0.2, 0.5), (0.2, -0.2, 0.5)]
+    box = [[(x * 0.3 - 0.3, y * 0.3 + 0.2, z * 0.3 - 0.69) for x, y, z in wall[::-1]] for wall in walls]
+    quads = build.geometry(*build.quads(*walls, lamp, *box), material=np.repeat([0, 1, 0], [12, 2, 12]))
+    scene = build.scene(quads, build.materials((0.6, 0.0), (0.0, 10.0)), camera=build.camera(width=24, height=24, position=(0.3, 0.1, 0.9)))
+    rays = RayScene(scene.geometry.vertices, scene.geometry.triangles)
+    tables = transport(scene.geometry, scene.materials.tables, rays.tables, build_emitters(scene))
+    points = view(scene, rays.tables, world_tables(scene.world), 2, 1, 1).points
+    yield tables, points
+    rays.close()
+
+
+def estimate(room, paths, samples, gather, seed, first=0, vpls=1024):
+    """Irradiance at the room's points, and the solver."""
+    tables, points = room
+    solver = ImportanceSampling(samples=samples, gather=gather, seed=seed)
+    solver.cache_light(tables, points, paths=paths)
+    solver.prepare(tables, points, vpls)
+    return solver.irradiance(points, first=first), solver
+
+
+@pytest.fixture(scope="module")
+def path_traced(room):
+    """The room's irradiance by paths alone: no light is looked up and none comes from VPLs."""
+    tables, points = room
+    solver = ImportanceSampling(samples=0, gather=4096, seed=99)
+    solver.cache_light(tables, points, paths=1000)
+    solver.prepare(tables, points, 16)
+    solver.cache, solver.near = no_cache(), np.float32(np.inf)
+    return solver.irradiance(points)
+
+
+def test_lights_and_gather_rays_share_the_light(room, path_traced):
+    # Each share for itself is far from the whole; together they have the energy of paths.
+    pictures = [estimate(room, 40000, 16, 16, seed)[0].mean() for seed in range(4)]
+    tables, points = room
+    _, solver = estimate(room, 40000, 0, 16, 5)
+    gathered = solver.irradiance(points).mean()
+    assert 0.2 * path_traced.mean() < gathered < 0.8 * path_traced.mean()
+    assert np.mean(pictures) == pytest.approx(path_traced.mean(), rel=0.01)
+
+
+def test_nothing_is_systematically_wrong_in_any_part_of_the_view(room, path_traced):
+    mean = np.mean([estimate(room, 40000, 16, 16, seed)[0] for seed in range(8)], axis=0).mean(axis=1)
+    exact = path_traced.mean(axis=1)
+    tables, points = room
+    pixel_x, pixel_y = points.pixel % 24, points.pixel // 24
+    for bx in range(3):
+        for by in range(3):
+            block = (pixel_x // 8 == bx) & (pixel_y // 8 == by)
+            assert mean[block].mean() == pytest.approx(exact[block].mean(), rel=0.05)
+
+
+def test_error_falls_with_samples_and_paths(room, path_traced):
+    # Over two decades of work: no floor that the cache would leave.
+    def error(paths, samples):
+        runs = [estimate(room, paths, samples, samples, seed, vpls=64 * samples)[0] for seed in (1, 2, 3)]
+        return np.mean([((run - path_traced) ** 2).mean() for run in runs]) / path_traced.mean() ** 2
+
+    few, more, most = error(2000, 1), error(20000, 10), error(200000, 100)
+    assert more < few / 4
+    assert most < more / 4
+
+
+def test_same_seed_same_bits(room):
+    tables, points = room
+    pictures = []
+    for threads in (1, 3):
+        solver = ImportanceSampling(samples=4, gather=4, seed=3, threads=threads)
+        solver.cache_light(tables, points, paths=3000)
+        solver.prepare(tables, points, 256)
+        pictures.append(solver.irradiance(points))
+    assert np.array_equal(*pictures)
+
+
+def test_later_passes_draw_other_rays(room):
+    a, solver = estimate(room, 3000, 4, 4, 3)
+    assert not np.array_equal(a, solver.irradiance(room[1], first=4))
+
+
+def probes_on_a_plane(n, direct, seed=0):
+    """Probes spread over the unit square with normal +z, each with direct(x, y) and no link."""
+    rng = np.random.default_rng(seed)
+    probes = Probes.allocate(n * DEPTH)
+    first = slice(0, None, DEPTH)
+    probes.valid[first] = 1
+    probes.position[first, :2] = rng.random((n, 2))
+    probes.normal[first] = (0, 0, 1)
+    probes.distance[first] = 10.0
+    probes.direct[first] = direct(*probes.position[first, :2].T)[:, None]
+    return probes
+
+
+def test_cache_keeps_the_light_of_a_plane():
+    # Half dark, half bright: the light as a whole is kept, and the halves are told apart but for the seam.
+    cache = build_light_cache(probes_on_a_plane(20000, lambda x, y: np.where(x < 0.5, 0.1, 2.0)), 2, seed=1)
+    rng = np.random.default_rng(2)
+    places = np.column_stack([rng.random((20000, 2)), np.zeros(20000)]).astype(np.float32)
+    cell = look_up(cache, places, np.tile(np.float32([0, 0, 1]), (20000, 1)), 3)
+    assert (cell >= 0).all()
+    found = cache.radiosity[:, cell, 0]
+    assert found[1].mean() == pytest.approx(1.05, rel=0.01)
+    np.testing.assert_array_equal(found[0], found[1])  # no links: nothing is added by further bounces
+    away = abs(places[:, 0] - 0.5) > 0.1
+    np.testing.assert_allclose(found[0][away], np.where(places[away, 0] < 0.5, 0.1, 2.0), rtol=0.5)
+
+
+def test_cache_does_not_leak_to_the_other_side_or_around_a_corner():
+    cache = build_light_cache(probes_on_a_plane(5000, lambda x, y: np.ones_like(x)), 1, seed=1)
+    places = np.tile(np.float32([0.5, 0.5, 0.0]), (3, 1))
+    normals = np.float32([(0, 0, 1), (0, 0, -1), (1, 0, 0)])
+    assert (look_up(cache, places, normals, 1) >= 0).tolist() == [True, False, False]
+
+
+def test_links_carry_light_bounce_after_bounce():
+    # Two facing planes, of albedo one half each, that see only each other: direct + half of what the other one sends.
+    n = 4000
+    probes = probes_on_a_plane(n, lambda x, y: np.ones_like(x))
+    first = np.arange(0, n * DEPTH, DEPTH)
+    upper = first[n // 2 :]
+    probes.position[upper, 2], probes.normal[upper] = 1.0, (0, 0, -1)
+    probes.carry[first], probes.link[first] = 0.5, 1
+    probes.link_position[first] = probes.position[first] * (1, 1, -1) + (0, 0, 1)
+    probes.link_normal[first] = -probes.normal[first]
+    cache = build_light_cache(probes, 3, seed=1)
+    np.testing.assert_allclose(cache.radiosity[:, :, 0].T, np.tile([1.0, 1.5, 1.75], (len(cache.bright), 1)), rtol=1e-4)
+
+
+def test_empty_scenes_have_an_empty_cache(room):
+    cache = build_light_cache(Probes.allocate(64), 2, seed=1)
+    assert (look_up(cache, np.zeros((1, 3), np.float32), np.float32([[0, 0, 1]]), 1) == -1).all()
+    tables, points = room
+    probes, rays = trace_probes(tables, points.take(np.arange(1)), 10, seed=1)
+    assert rays > 0 and probes.valid.any()
