@@ -52,7 +52,7 @@ def path_traced(room):
 def test_lights_and_gather_rays_share_the_light(room, path_traced):
     # Each share for itself is far from the whole; together they have the energy of paths.
     pictures = [estimate(room, 40000, 16, 16, seed)[0].mean() for seed in range(4)]
-    tables, points = room
+    _, points = room
     _, solver = estimate(room, 40000, 0, 16, 5)
     gathered = solver.irradiance(points).mean()
     assert 0.2 * path_traced.mean() < gathered < 0.8 * path_traced.mean()
@@ -62,7 +62,7 @@ def test_lights_and_gather_rays_share_the_light(room, path_traced):
 def test_nothing_is_systematically_wrong_in_any_part_of_the_view(room, path_traced):
     mean = np.mean([estimate(room, 40000, 16, 16, seed)[0] for seed in range(8)], axis=0).mean(axis=1)
     exact = path_traced.mean(axis=1)
-    tables, points = room
+    _, points = room
     pixel_x, pixel_y = points.pixel % 24, points.pixel // 24
     for bx in range(3):
         for by in range(3):
