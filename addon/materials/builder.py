@@ -16,6 +16,7 @@ _CLOSURES = frozenset(
         ops.DIFFUSE_CLOSURE,
         ops.EMISSION_CLOSURE,
         ops.TRANSPARENT_CLOSURE,
+        ops.REFRACTION_CLOSURE,
         ops.GLOSSY_CLOSURE,
         ops.METAL_CLOSURE,
         ops.GLASS_CLOSURE,
@@ -27,7 +28,7 @@ _CLOSURES = frozenset(
 )
 # What depends on the point or the view, and is therefore never folded.
 _VARYING = frozenset({ops.ATTRIBUTE, ops.TEXTURE, ops.TEXTURE_BOX, ops.FRESNEL, ops.FACING, ops.BACKFACING, ops.VIEWED})
-_VIEW_DEPENDENT = frozenset({ops.FRESNEL, ops.FACING, ops.BACKFACING, ops.VIEWED, ops.COAT_CLOSURE, ops.SHEEN_CLOSURE})
+_VIEW_DEPENDENT = frozenset({ops.FRESNEL, ops.FACING, ops.BACKFACING, ops.VIEWED, ops.GLASS_CLOSURE, ops.COAT_CLOSURE, ops.SHEEN_CLOSURE})
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from .tree import Context, Scope
 
 _DEFAULT_GREY = Constant(0.8, 0.8, 0.8)
 _GLOSSY = {ops.GLOSSY_CLOSURE, ops.METAL_CLOSURE, ops.GLASS_CLOSURE, ops.DIELECTRIC_CLOSURE, ops.COAT_CLOSURE}
-_TRANSPARENT = {ops.TRANSPARENT_CLOSURE, ops.GLASS_CLOSURE}
+_TRANSPARENT = {ops.TRANSPARENT_CLOSURE, ops.REFRACTION_CLOSURE, ops.GLASS_CLOSURE}
 
 
 def compile_materials(uses: Sequence[MaterialUse]) -> CompiledMaterials:

@@ -22,6 +22,7 @@ from .layout import (
     LAYER_ROUGHNESS,
     LAYER_Z,
     LAYERED,
+    REFRACTION,
     ROUGHNESS,
     TRANSPARENCY,
 )
@@ -144,17 +145,34 @@ def glossy(surface, r, g, b, roughness, multiple, wr, wg, wb):
 
 
 @inlined
-def glass(surface, r, g, b, roughness, ior, tr, tg, tb, wr, wg, wb):
-    """Glass: reflects its mean Fresnel term times (tr, tg, tb), lets the rest times (r, g, b) straight through."""
+def refraction(surface, r, g, b, wr, wg, wb):
+    """Refraction BSDF: lets (r, g, b) straight through."""
+    add(surface, TRANSPARENCY, wr, wg, wb, r, g, b)
+    add(surface, REFRACTION, wr, wg, wb, r, g, b)
+
+
+@inlined
+def _dielectric_albedo(f0, roughness, cosine):
+    """What a dielectric lobe that loses no light reflects (0..1); cosine: see `program.evaluate`."""
+    z = np.sqrt(np.sqrt(f0))
+    if F(1) < abs(cosine) < REFLECTED:
+        return ggx.layer_albedo_mean(f0, z, roughness, F(1))
+    return ggx.layer_albedo(f0, z, roughness, F(1), view_cosine(cosine))
+
+
+@inlined
+def glass(surface, r, g, b, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
+    """Glass: reflects its Fresnel term times (tr, tg, tb), lets the rest times (r, g, b) straight through.
+
+    cosine: see `program.evaluate`.  Seen from within it reflects what it does from outside: no view bends on its way in.
+    """
     roughness = min(max(roughness, F(0)), F(1))
     ior = max(ior, F(1e-5))
     f0 = f0_of_ior(ior)
-    z = np.sqrt(np.sqrt(f0))
-    mean = ggx.layer_albedo_mean(f0, z, roughness, F(1)) if ior != F(1) else F(0)
-    through = F(1) - mean
-    add(surface, TRANSPARENCY, wr * through, wg * through, wb * through, r, g, b)
+    through = F(1) - _dielectric_albedo(f0, roughness, cosine) if ior != F(1) else F(1)
+    refraction(surface, r, g, b, wr * through, wg * through, wb * through)
     tr, tg, tb = max(tr, F(0)), max(tg, F(0)), max(tb, F(0))
-    if mean > F(0):
+    if ior != F(1):
         _add_glossy(surface, wr, wg, wb, f0 * tr, f0 * tg, f0 * tb, tr, tg, tb, roughness)
 
 
@@ -192,18 +210,12 @@ def coat(surface, strength, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
     roughness = min(max(roughness, F(0)), F(1))
     ior = max(ior, F(1))
     f0 = f0_of_ior(ior)
-    z = np.sqrt(np.sqrt(f0))
-    if F(1) < abs(cosine) < REFLECTED:
-        albedo = ggx.layer_albedo_mean(f0, z, roughness, F(1))
-        cos2 = F(0.5)
-    else:
-        c = view_cosine(cosine)
-        albedo = f0 + (F(1) - f0) * ggx.fresnel_rise(z, c, roughness)
-        cos2 = c * c
+    albedo = F(0)
     if ior > F(1):
+        albedo = _dielectric_albedo(f0, roughness, cosine)
         _add_glossy(surface, strength * wr, strength * wg, strength * wb, f0, f0, f0, F(1), F(1), F(1), roughness)
-    else:
-        albedo = F(0)
+    c = view_cosine(cosine)
+    cos2 = F(0.5) if F(1) < abs(cosine) < REFLECTED else c * c
     below = min(max(F(1) - strength * albedo, F(0)), F(1))
     depth = F(1) / np.sqrt(F(1) - (F(1) - cos2) / (ior * ior)) if ior > F(1) or cos2 > F(0) else F(1)
     wr *= below * (F(1) + strength * (max(tr, F(0)) ** depth - F(1)))

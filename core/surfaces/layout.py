@@ -28,7 +28,8 @@ GLOSSY_F0 = 16  # rgb: glossy albedo at normal incidence
 GLOSSY_F90 = 19  # rgb: at grazing incidence
 ROUGHNESS = 22  # of the glossy lobes, weighted by their albedo
 NORMAL = 23  # xyz: world-space shading normal of a NORMAL_MAPPED material, else zeros
-SURFACE = 26  # length
+REFRACTION = 26  # rgb: the part of TRANSPARENCY that passes glass, which is a bounce to Cycles
+SURFACE = 29  # length
 
 # z of an index of refraction of 1.5, whose Fresnel curve stands for all glossy lobes in means
 _GLOSSY_Z = F(0.2**0.5)
@@ -83,9 +84,15 @@ def passing_chance(surface):
     which keeps nothing that could be seen, pass always.
     """
     through = max(surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2])
+    return through / (through + largest_kept(surface)) if through > F(0) else F(0)
+
+
+@inlined
+def largest_kept(surface):
+    """Bound on the largest channel of the albedo, diffuse and glossy together; at least 1 for a surface that shines."""
     kept = F(0)
     for c in range(3):
         kept = max(kept, surface[DIFFUSE + c] + max(surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c]))
         if surface[EMISSION + c] > F(0):
-            kept = F(1)
-    return through / (through + kept) if through > F(0) else F(0)
+            kept = max(kept, F(1))
+    return kept

@@ -49,6 +49,7 @@ MEAN_VIEW = 2.0
     DIFFUSE_CLOSURE,  # colour a
     EMISSION_CLOSURE,  # radiance a
     TRANSPARENT_CLOSURE,  # colour a
+    REFRACTION_CLOSURE,  # colour a
     GLOSSY_CLOSURE,  # colour a, roughness b.x, p: multiple scattering
     METAL_CLOSURE,  # colour a, roughness b.x, tint at 82 degrees c, p: multiple scattering
     GLASS_CLOSURE,  # colour a, (roughness, ior) b, tint of the reflection c
@@ -56,7 +57,7 @@ MEAN_VIEW = 2.0
     SHEEN_CLOSURE,  # (weight, roughness) a, tint b; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
     NORMAL_MAP,  # world-space normal a
-) = range(26)
+) = range(27)
 
 
 @kernel
@@ -169,12 +170,14 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
             closures.add(surface, EMISSION, dx, dy, dz, ax, ay, az)
         elif op == TRANSPARENT_CLOSURE:
             closures.add(surface, TRANSPARENCY, dx, dy, dz, ax, ay, az)
+        elif op == REFRACTION_CLOSURE:
+            closures.refraction(surface, ax, ay, az, dx, dy, dz)
         elif op == GLOSSY_CLOSURE:
             closures.glossy(surface, ax, ay, az, bx, p, dx, dy, dz)
         elif op == METAL_CLOSURE:
             closures.metal(surface, ax, ay, az, bx, p, cx, cy, cz, dx, dy, dz)
         elif op == GLASS_CLOSURE:
-            closures.glass(surface, ax, ay, az, bx, by, cx, cy, cz, dx, dy, dz)
+            closures.glass(surface, ax, ay, az, bx, by, cx, cy, cz, dx, dy, dz, cosine)
         elif op == DIELECTRIC_CLOSURE:
             closures.dielectric_over_diffuse(surface, ax, ay, az, bx, by, bz, p, cx, cy, cz, dx, dy, dz)
         elif op == SHEEN_CLOSURE:

@@ -26,6 +26,7 @@ _PASSES = {
     "GlossCol": ("GlossCol", "Glossy Color"),
     "Normal": ("Normal", "Normal"),
     "Position": ("Position", "Position"),
+    "TransCol": ("TransCol", "Transmission Color"),
 }
 
 
@@ -48,6 +49,10 @@ class Compared:
     @property
     def transparency(self) -> np.ndarray:
         return self.surfaces[:, layout.TRANSPARENCY : layout.TRANSPARENCY + 3]
+
+    @property
+    def refraction(self) -> np.ndarray:
+        return self.surfaces[:, layout.REFRACTION : layout.REFRACTION + 3]
 
     @property
     def normal(self) -> np.ndarray:
@@ -209,7 +214,7 @@ def _render(columns):
     scene.render.threads_mode, scene.render.threads = "FIXED", 2
     layer = scene.view_layers[0]
     layer.use_pass_diffuse_color = layer.use_pass_emit = True
-    layer.use_pass_glossy_color = layer.use_pass_normal = layer.use_pass_position = True
+    layer.use_pass_glossy_color = layer.use_pass_transmission_color = layer.use_pass_normal = layer.use_pass_position = True
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     camera.data.type, camera.data.ortho_scale = "ORTHO", columns
     camera.location = columns / 2, columns / 2, 5

@@ -24,6 +24,11 @@ def _normal(node: NodeInput, key: str = "Normal") -> None:
         node.emit(ops.NORMAL_MAP, node[key])
 
 
+def _warn_straight(node: NodeInput, what: str) -> None:
+    blur = "" if _is(node["Roughness"], 0) else " or blur"
+    node.warn(f"{what} is treated as straight through, without refraction{blur}")
+
+
 @closure("ShaderNodeBsdfPrincipled")
 def principled(node: NodeInput, weight: Value) -> None:
     """Principled BSDF v2: alpha, sheen, coat, emission, metal, transmission, dielectric over diffuse."""
@@ -58,7 +63,7 @@ def principled(node: NodeInput, weight: Value) -> None:
         share = node.multiply(weight, transmission)
         node.emit(ops.GLASS_CLOSURE, through, node.pack(roughness, ior), tint, share)
         weight = node.multiply(weight, node.complement(transmission))
-        node.warn("transmission is treated as straight through, without refraction")
+        _warn_straight(node, "transmission")
     if not _is(node["Subsurface Weight"], 0):
         node.warn("subsurface scattering is treated as diffuse reflection with the base colour")
     if weight != ZERO:
@@ -134,7 +139,7 @@ def metallic(node: NodeInput, weight: Value) -> None:
 @closure("ShaderNodeBsdfGlass")
 def glass(node: NodeInput, weight: Value) -> None:
     """Glass BSDF: straight through with its colour."""
-    node.warn("glass is treated as straight through, without refraction")
+    _warn_straight(node, "glass")
     color = node["Color"]
     node.emit(ops.GLASS_CLOSURE, color, node.pack(node["Roughness"], node["IOR"]), color, weight)
 
@@ -142,8 +147,8 @@ def glass(node: NodeInput, weight: Value) -> None:
 @closure("ShaderNodeBsdfRefraction")
 def refraction(node: NodeInput, weight: Value) -> None:
     """Refraction BSDF: straight through with its colour."""
-    node.warn("refraction is treated as straight through")
-    node.emit(ops.TRANSPARENT_CLOSURE, node["Color"], ZERO, ZERO, weight)
+    _warn_straight(node, "refraction")
+    node.emit(ops.REFRACTION_CLOSURE, node["Color"], ZERO, ZERO, weight)
 
 
 @closure("ShaderNodeBsdfTransparent")
