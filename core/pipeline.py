@@ -112,7 +112,7 @@ def render(
     layers = compose(seen, direct, indirect, highlights + shown, reflected, scene)
     if settings.denoise:
         with run.stage("denoise"):
-            denoise(layers, threads, run.warnings)
+            denoise(layers, *denoising_guides(seen), threads, run.warnings)
     if settings.debug_layers:
         layers.update(debug)
     if settings.layers is not None:
@@ -267,11 +267,18 @@ def splat_radiance(points: ShadingPoints, radiance: np.ndarray, shape: tuple[int
 def compose(
     seen: View, direct: np.ndarray, indirect: np.ndarray, glossy_direct: np.ndarray, glossy_indirect: np.ndarray, scene: Scene
 ) -> Layers:
-    """The layers of the contract from irradiances and glossy radiances (N, 3) at the shading points."""
-    shape = seen.shape
-    all_direct = splat(seen.points, direct, shape) + splat_radiance(seen.points, glossy_direct, shape)
-    diffuse_indirect = splat(seen.points, indirect, shape)
-    glossy_indirect = splat_radiance(seen.points, glossy_indirect, shape)
+    """The layers of the contract from irradiances and glossy radiances (N, 3) at the shading points.
+
+    Glass is a bounce, as in Cycles: all light of the surfaces behind it is indirect, and specular, whatever it is to them.
+    What shines behind it is direct light after one surface of glass, indirect light after more.
+    """
+    shape, points = seen.shape, seen.points
+    diffuse = points.albedo * np.float32(1 / np.pi)
+    first, later = diffuse * direct + glossy_direct, diffuse * indirect
+    behind = points.behind_glass[:, None] > 0
+    all_direct = splat_radiance(points, first * ~behind, shape) + seen.emission_behind_one
+    diffuse_indirect = splat_radiance(points, later * ~behind, shape)
+    glossy_indirect = splat_radiance(points, glossy_indirect + (first + later) * behind, shape) + seen.emission_behind_more
     total = diffuse_indirect + glossy_indirect
     with np.errstate(divide="ignore", invalid="ignore"):
         irradiance = np.where(seen.albedo > 0, np.float32(np.pi) * diffuse_indirect / seen.albedo, np.float32(0))
@@ -297,18 +304,32 @@ def compose(
     )
 
 
-def denoise(layers: Layers, threads: int, warnings: list[str]) -> None:
-    """Denoise the light in place; the diffuse indirect light free of albedo, so that textures and edges stay as sharp as they were."""
+def denoising_guides(seen: View) -> tuple[np.ndarray, np.ndarray]:
+    """Albedo and normal (H, W, 3) that tell the denoiser where edges are: where there is glass, those of what it shows."""
+    behind = seen.points.take(seen.points.behind_glass > 0)
+    if len(behind.pixel) == 0:
+        return seen.albedo, seen.normal
+    through = splat_radiance(behind, behind.albedo, seen.shape)
+    shown = behind.albedo.mean(axis=1, keepdims=True)
+    normal = seen.albedo.mean(axis=2, keepdims=True) * seen.normal + splat_radiance(behind, shown * behind.ns, seen.shape)
+    length = np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), np.float32(1e-9))
+    return seen.albedo + through, np.where(through.any(axis=2, keepdims=True), normal / length, seen.normal)
+
+
+def denoise(layers: Layers, albedo: np.ndarray, normal: np.ndarray, threads: int, warnings: list[str]) -> None:
+    """Denoise the light in place; the diffuse indirect light free of albedo, so that textures and edges stay as sharp as they were.
+
+    albedo, normal: of `denoising_guides`.
+    """
     denoiser = Denoiser()
     if denoiser.warning:
         warnings.append(denoiser.warning)
-    albedo, normal = layers["Albedo"], layers["Normal"]
 
     def cleaned(image: np.ndarray, **options) -> np.ndarray:
         return denoiser.denoise(image, albedo, normal, position=layers["Position"], threads=threads, **options)
 
-    irradiance = np.where(albedo > 0, cleaned(layers["Irradiance"]), np.float32(0))
-    diffuse = irradiance * albedo * np.float32(1 / np.pi)
+    irradiance = np.where(layers["Albedo"] > 0, cleaned(layers["Irradiance"]), np.float32(0))
+    diffuse = irradiance * layers["Albedo"] * np.float32(1 / np.pi)
     # What counts is the mean of the picture, not of the irradiance.
     factor = mean_factor(layers["DiffuseIndirect"], diffuse)
     layers["Irradiance"], layers["DiffuseIndirect"] = factor * irradiance, factor * diffuse

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..sampling.discrete import cumulative
 from ..sampling.sequences import r2_points
-from ..scene import AREA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, GLOSSY, POINT, SPOT, SUN, TRANSPARENT, Scene
+from ..scene import AREA, CAMERA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, GLOSSY, POINT, SPOT, SUN, TRANSMISSION, TRANSPARENT, Scene
 from ..surfaces.batch import evaluate_batch
 from ..surfaces.layout import EMISSION
 from .tables import (
@@ -28,7 +28,9 @@ from .tables import (
     ONE_MINUS_COS,
     POSITION,
     RADIUS,
+    SEEN_BY_CAMERA,
     SEEN_BY_GLOSSY,
+    SEEN_THROUGH_GLASS,
     SHAPE,
     SIZE,
     SOFT,
@@ -78,7 +80,8 @@ def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
     sphere, sun, area = (kind == POINT) | (kind == SPOT), kind == SUN, kind == AREA
     ellipse = area & (lamps.shape[keep] == ELLIPSE)
     flags = CASTS_SHADOW * (lamps.cast_shadow[keep] > 0) + SOFT * (sphere & (lamps.soft_falloff[keep] > 0)) + ELLIPTIC * ellipse
-    flags = flags + SEEN_BY_GLOSSY * ((lamps.visibility[keep] & GLOSSY) > 0)
+    for flag, kind_of_ray in ((SEEN_BY_GLOSSY, GLOSSY), (SEEN_BY_CAMERA, CAMERA), (SEEN_THROUGH_GLASS, TRANSMISSION)):
+        flags = flags + flag * ((lamps.visibility[keep] & kind_of_ray) > 0)
     half = 0.5 * angle
 
     # Cycles: smoothstep((cos - cos_outer) / ((1 - cos_outer) blend)).

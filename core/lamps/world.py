@@ -14,7 +14,7 @@ import numpy as np
 from ..jit import inlined, leaf
 from ..sampling.discrete import cumulative, sample_cdf
 from ..sampling.maps import cosine_hemisphere, to_world
-from ..scene import CAMERA, World
+from ..scene import World
 from .tables import WorldTable
 
 _0 = np.float32(0.0)
@@ -86,9 +86,9 @@ def no_world() -> WorldTable:
     return world_table(np.zeros((1, 1, 3), np.float32), np.zeros((2, 3)))[0]
 
 
-def world_tables(world: World, ray_kind: int = CAMERA) -> WorldTable:
-    """The world as rays of `ray_kind` see it, for `world_radiance`."""
-    return world_table(world.radiance, np.zeros((2, 3)))[0] if world.visibility & ray_kind else no_world()
+def world_tables(world: World) -> WorldTable:
+    """The world, whatever rays may see it, for `world_radiance`."""
+    return world_table(world.radiance, np.zeros((2, 3)))[0]
 
 
 @inlined

@@ -11,7 +11,7 @@ from ..jit import kernel, leaf
 from ..lamps.build import lamp_tables
 from ..lamps.lookup import lamp_along
 from ..lamps.tables import POSITION, RADIUS, SIZE, LampTables
-from ..scene import AREA, CAMERA, SUN, Scene
+from ..scene import AREA, CAMERA, SUN, TRANSMISSION, Scene
 from .camera import camera_ray
 
 _0 = np.float32(0.0)
@@ -21,11 +21,11 @@ _INFINITY = np.float32(np.inf)
 
 
 def visible_lamps(scene: Scene) -> LampTables:
-    """The lamps with a size that camera rays may meet."""
+    """The lamps with a size that camera rays may meet, before glass or behind it."""
     lamps = scene.lamps
     sized = np.where(lamps.kind == SUN, lamps.angle, np.where(lamps.kind == AREA, 1, lamps.radius)) > 0
     finite = np.isfinite(lamps.emission.reshape(-1, 3)).all(1)
-    return lamp_tables(replace(scene, lamps=lamps.take(sized & finite)), CAMERA)
+    return lamp_tables(replace(scene, lamps=lamps.take(sized & finite)), CAMERA | TRANSMISSION)
 
 
 @leaf
@@ -64,11 +64,16 @@ def lamps_in_tile(lamps, camera, x0, y0, x1, y1, near):
 
 
 @kernel
-def lamps_between(lamps, near, n, ox, oy, oz, dx, dy, dz, start, end):
-    """Radiance (r, g, b) of the lamps near[0..n-1] whose distance along the unit direction d from o lies in start..end."""
+def lamps_between(lamps, near, n, seen_by, ox, oy, oz, dx, dy, dz, start, end):
+    """Radiance (r, g, b) of the lamps near[0..n-1] whose distance along the unit direction d from o lies in start..end.
+
+    seen_by: SEEN_BY_CAMERA or SEEN_THROUGH_GLASS.
+    """
     r = g = b = _0
     for k in range(n):
         i = near[k]
+        if not lamps.flags[i] & seen_by:
+            continue
         t, share = lamp_along(lamps, i, ox, oy, oz, dx, dy, dz)
         if share > _0 and start <= t and t <= end:
             r += share * lamps.radiance[i, 0]

@@ -17,6 +17,7 @@ class ShadingPoints(NamedTuple):
         sum of albedo * irradiance / pi over its points.
     wo: (N, 3) float32, unit, towards the viewer.
     f0, f90: (N, 3), roughness: (N,) float32, Schlick's glossy lobe (f0 and f90 times the share of the pixel).
+    behind_glass: (N,) uint8, 1 where the view passes glass: the pixel shows all light of the point as transmitted light.
     """
 
     position: np.ndarray
@@ -30,19 +31,24 @@ class ShadingPoints(NamedTuple):
     f0: np.ndarray
     f90: np.ndarray
     roughness: np.ndarray
+    behind_glass: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> ShadingPoints:
-        """Room for n points, not set."""
+        """Room for n points, not set but for `behind_glass`, which is 0."""
         f, e = np.float32, np.empty
         return ShadingPoints(
             e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32),
-            e((n, 3), f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f),
+            e((n, 3), f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f), np.zeros(n, np.uint8),
         )  # fmt: skip
 
     def take(self, index) -> ShadingPoints:
         """The points at `index` (anything that indexes an array)."""
         return ShadingPoints(*(np.ascontiguousarray(a[index]) for a in self))
+
+    def first(self, n: int) -> ShadingPoints:
+        """A copy of the first n points, which does not hold the room of all."""
+        return ShadingPoints(*(a[:n].copy() for a in self))
 
     @staticmethod
     def concatenate(parts: list[ShadingPoints]) -> ShadingPoints:

@@ -4,31 +4,47 @@ A pixel's value is the mean over its square (design.md, section 3): P stratified
 all count for albedo, emission and coverage, while light is computed once for each distinct surface among
 them, as multisample antialiasing does.  Nothing is kept per sample beyond its tile.
 
-Surfaces with transparency are passed through at random, with exact weights, as Cycles does.
+Surfaces with transparency are passed through at random, with exact weights, as Cycles does.  At the first surfaces of
+glass nothing is left to chance: a sample shows both what they reflect and what lies behind.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import inlined, kernel, leaf
+from ..lamps.tables import SEEN_BY_CAMERA, SEEN_THROUGH_GLASS
 from ..lamps.world import world_radiance
 from ..rays.offsets import hit_point
 from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
 from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import uniform
-from ..scene import CAMERA, NORMAL_MAPPED, TRANSPARENT, Scene
-from ..surfaces.layout import EMISSION, GLOSSY_F0, GLOSSY_F90, NORMAL, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo, passing_chance
+from ..scene import CAMERA, NORMAL_MAPPED, TRANSMISSION, TRANSPARENT, Scene
+from ..surfaces.arithmetic import normalized
+from ..surfaces.layout import (
+    EMISSION,
+    GLOSSY_F0,
+    GLOSSY_F90,
+    NORMAL,
+    REFRACTION,
+    ROUGHNESS,
+    SURFACE,
+    TRANSPARENCY,
+    diffuse_albedo,
+    largest_kept,
+)
 from ..surfaces.normals import shading_normal
-from ..surfaces.program import evaluate, new_registers
+from ..surfaces.program import evaluate, new_registers, reflected_view
 from ..threads import Progress, run_chunks
 from .camera import camera_ray, camera_tables, pixel_sample
 from .lamps import lamps_between, lamps_in_tile, visible_lamps
 from .points import ShadingPoints
 
 TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample index
+PANES = 2  # surfaces of glass that a sample shows as well as what lies behind them
 MAX_LAYERS = 64  # transparent surfaces that one primary ray passes at most
 WORLD_DEPTH = np.float32(1e10)  # what Blender's depth pass has where nothing is hit
 
@@ -37,6 +53,11 @@ WORLD_DEPTH = np.float32(1e10)  # what Blender's depth pass has where nothing is
 SAME_NORMAL = np.float32(0.9)
 SAME_PLANE = np.float32(0.5)
 SAME_REACH = np.float32(3.0)
+# Columns of the pixels' layers; what is emitted three times, behind no glass, one surface of it, and more.
+ALBEDO, NORMALS, POSITION, DEPTH, EMITTED, LAYERS = 0, 3, 6, 9, 10, 19
+# Bits of the way that a sample takes at a surface: it shows it, passes straight through, passes through glass.
+SHOWN, STRAIGHT, REFRACTED = 1, 2, 4
+_0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
 
@@ -44,12 +65,15 @@ _1 = np.float32(1.0)
 class View:
     """What the camera sees of a scene, before any light but that of surfaces, lamps and world themselves.
 
-    albedo, emission: (H, W, 3);  normal, position: (H, W, 3);  depth: (H, W); all float32.
+    albedo, emission: (H, W, 3);  normal, position: (H, W, 3);  depth: (H, W); all float32.  Where there is glass they are
+        the pane's; emission_behind_one, emission_behind_more: (H, W, 3), emission behind one surface of glass, and behind more.
     points: the shading points, whose `pixel` counts row-major over H x W.  rays: primary rays traced.
     """
 
     albedo: np.ndarray
     emission: np.ndarray
+    emission_behind_one: np.ndarray
+    emission_behind_more: np.ndarray
     normal: np.ndarray
     position: np.ndarray
     depth: np.ndarray
@@ -74,37 +98,83 @@ def _same_surface(px, py, pz, nx, ny, nz, qx, qy, qz, mx, my, mz, width):
     return dx * dx + dy * dy + dz * dz < reach * reach
 
 
-@kernel
-def _trace_tile(
-    rays,
-    camera,
-    materials,
-    material,
-    attributes,
-    lamps,
-    tx,
-    ty,
-    samples,
-    seed,
-    packet,
-    rows,
-    surface,
-    hits,
-    weight,
-    direction,
-    depth,
-    shine,
-):
-    """Trace the samples of one tile. hits: (16, P, 3) float32 bits of triangle, u, v; the number of rays comes back.
+class _Samples(NamedTuple):
+    """What the 16 pixels of a tile show: P samples each, and after them the panes of glass that these look through.
 
-    shine: (16, 3) float32, the sum over a pixel's samples of the lamps' light in front of the surfaces.
+    count: (16,) int32, rows of each pixel, at most R = (1 + PANES) P.
+    hits: (16, R, 3) float32, bits of the triangle (-1 for none), u and v.  weight, direction: (16, R, 3) float32.
+    depth: (16, R) float32 (m).  glass: (16, R) int32, surfaces of glass before it.
+    lamps: (16, 3, 3) float32, light of the lamps in view, summed over the samples, by the surfaces of glass before it.
     """
+
+    count: np.ndarray
+    hits: np.ndarray
+    weight: np.ndarray
+    direction: np.ndarray
+    depth: np.ndarray
+    glass: np.ndarray
+    lamps: np.ndarray
+
+
+@kernel
+def _new_samples(samples):
+    """Room for a tile."""
+    f, rows = np.float32, (1 + PANES) * samples
+    return _Samples(
+        np.empty(WIDTH, np.int32), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f),
+        np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), np.int32), np.empty((WIDTH, 3, 3), f),
+    )  # fmt: skip
+
+
+@inlined
+def _view_cosine(vertices, triangles, corner_normals, triangle, u, v, dx, dy, dz, glass):
+    """Cosine for `program.evaluate` of a view along d that has passed `glass` surfaces of glass."""
+    a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+    ex, ey, ez = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+    fx, fy, fz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    gx, gy, gz = normalized(ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx)
+    sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
+    cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
+    cosine = -cosine if gx * dx + gy * dy + gz * dz > 0 else cosine
+    return reflected_view(cosine) if glass > 0 else cosine
+
+
+@leaf
+def _way_on(surface, x, split):
+    """What a sample shows of a surface with transparency: (way, r, g, b, w).
+
+    x: uniform in [0, 1), picks a way in proportion to what there is to see.  split: glass shows both itself and what
+    lies behind, as several samples would.  (r, g, b) weighs what lies behind, w the surface itself.
+    """
+    rr, rg, rb = surface[REFRACTION], surface[REFRACTION + 1], surface[REFRACTION + 2]
+    tr, tg, tb = surface[TRANSPARENCY] - rr, surface[TRANSPARENCY + 1] - rg, surface[TRANSPARENCY + 2] - rb
+    straight, refracted, kept = max(tr, tg, tb), max(rr, rg, rb), largest_kept(surface)
+    total = straight + refracted + kept
+    x *= total
+    if x < straight:
+        w = total / straight
+        return STRAIGHT, w * tr, w * tg, w * tb, _0
+    if split and refracted > _0:
+        w = total / (refracted + kept)
+        return SHOWN | REFRACTED, w * rr, w * rg, w * rb, w
+    if x < straight + refracted:
+        w = total / refracted
+        return REFRACTED, w * rr, w * rg, w * rb, _0
+    return SHOWN, _0, _0, _0, total / kept if kept > _0 else _1
+
+
+@kernel
+def _trace_tile(rays, camera, materials, geometry, lamps, tx, ty, samples, seed, packet, rows, surface, seen):
+    """Trace the samples of the tile whose first pixel is (tx, ty) into `seen`; the number of rays."""
+    vertices, triangle_vertices, corner_normals, attributes, material, _ = geometry
+    hits, weight, direction, depth, glass = seen.hits, seen.weight, seen.direction, seen.depth, seen.glass
     x1, y1 = camera.border[2], camera.border[3]
     origin = np.empty((WIDTH, 3), np.float32)
     passed = np.empty(WIDTH, np.float32)
     near_lamps = np.empty(len(lamps.kind), np.int32)
     n_lamps = lamps_in_tile(lamps, camera, tx, ty, tx + TILE, ty + TILE, near_lamps)
-    shine[:] = np.float32(0.0)
+    seen.lamps[:] = np.float32(0.0)
+    seen.count[:] = samples
     count = 0
     triangles = hits.view(np.int32)
     for s in range(samples):
@@ -123,6 +193,7 @@ def _trace_tile(
             direction[lane, s, 0], direction[lane, s, 1], direction[lane, s, 2] = dx, dy, dz
             weight[lane, s, 0] = weight[lane, s, 1] = weight[lane, s, 2] = np.float32(1.0)
             depth[lane, s] = WORLD_DEPTH
+            glass[lane, s] = 0
             passed[lane] = np.float32(0.0)
             count += 1
         layer = 0
@@ -137,53 +208,64 @@ def _trace_tile(
                 if n_lamps > 0:
                     end = hit_t(packet, lane) if triangle >= 0 else np.float32(np.inf)
                     r, g, b = lamps_between(
-                        lamps, near_lamps, n_lamps, origin[lane, 0], origin[lane, 1], origin[lane, 2],
+                        lamps, near_lamps, n_lamps, SEEN_THROUGH_GLASS if glass[lane, s] > 0 else SEEN_BY_CAMERA,
+                        origin[lane, 0], origin[lane, 1], origin[lane, 2],
                         direction[lane, s, 0], direction[lane, s, 1], direction[lane, s, 2], passed[lane], end,
                     )  # fmt: skip
-                    shine[lane, 0] += weight[lane, s, 0] * r
-                    shine[lane, 1] += weight[lane, s, 1] * g
-                    shine[lane, 2] += weight[lane, s, 2] * b
+                    before = min(glass[lane, s], 2)
+                    seen.lamps[lane, before, 0] += weight[lane, s, 0] * r
+                    seen.lamps[lane, before, 1] += weight[lane, s, 1] * g
+                    seen.lamps[lane, before, 2] += weight[lane, s, 2] * b
                 if triangle < 0:
                     disable_ray(packet, lane)
                     continue
                 u, v, t = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
                 dx, dy, dz = direction[lane, s, 0], direction[lane, s, 1], direction[lane, s, 2]
                 axial = -(dx * camera.matrix[0, 2] + dy * camera.matrix[1, 2] + dz * camera.matrix[2, 2])
+                way, r, g, b, w = SHOWN, _0, _0, _0, _1
                 if materials.flags[material[triangle]] & TRANSPARENT:
-                    evaluate(materials, material[triangle], attributes, triangle, u, v, _1, rows, surface)
-                    tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
-                    chance = passing_chance(surface)
+                    cosine = _view_cosine(vertices, triangle_vertices, corner_normals, triangle, u, v, dx, dy, dz, glass[lane, s])
+                    evaluate(materials, material[triangle], attributes, triangle, u, v, cosine, rows, surface)
                     number = (ty + lane // TILE) * camera.size[0] + tx + lane % TILE
-                    if uniform(seed, number, s, 2 + layer) < chance:
-                        weight[lane, s, 0] *= tr / chance
-                        weight[lane, s, 1] *= tg / chance
-                        weight[lane, s, 2] *= tb / chance
-                        # Past the hit by a few rounding errors of t, so that the surface is not met again.
-                        start = t + np.float32(4e-6) * (t + camera.clip[0])
-                        far = (camera.clip[1] - camera.clip[0]) / axial
-                        set_ray(packet, lane, origin[lane, 0], origin[lane, 1], origin[lane, 2], dx, dy, dz, start, far, CAMERA)
-                        passed[lane] = t
-                        count += 1
-                        active = True
-                        continue
-                    rest = _1 / (_1 - chance)  # what the surface keeps is already without what it lets through
-                    weight[lane, s, 0] *= rest
-                    weight[lane, s, 1] *= rest
-                    weight[lane, s, 2] *= rest
-                triangles[lane, s, 0] = triangle
-                hits[lane, s, 1], hits[lane, s, 2] = u, v
-                depth[lane, s] = camera.clip[0] + t * axial
-                disable_ray(packet, lane)
+                    way, r, g, b, w = _way_on(surface, uniform(seed, number, s, 2 + layer), glass[lane, s] < PANES)
+                if way & SHOWN:
+                    row = s
+                    if way != SHOWN:  # the sample goes on beyond a pane, which gets a row of its own
+                        row = seen.count[lane]
+                        seen.count[lane] += 1
+                        glass[lane, row] = glass[lane, s]
+                        direction[lane, row, 0], direction[lane, row, 1], direction[lane, row, 2] = dx, dy, dz
+                    for c in range(3):
+                        weight[lane, row, c] = w * weight[lane, s, c]
+                    triangles[lane, row, 0] = triangle
+                    hits[lane, row, 1], hits[lane, row, 2] = u, v
+                    depth[lane, row] = camera.clip[0] + t * axial
+                if way == SHOWN:
+                    disable_ray(packet, lane)
+                    continue
+                weight[lane, s, 0] *= r
+                weight[lane, s, 1] *= g
+                weight[lane, s, 2] *= b
+                if way & REFRACTED:
+                    glass[lane, s] += 1
+                # Past the hit by a few rounding errors of t, so that the surface is not met again.
+                start = t + np.float32(4e-6) * (t + camera.clip[0])
+                far = (camera.clip[1] - camera.clip[0]) / axial
+                kinds = TRANSMISSION if glass[lane, s] > 0 else CAMERA
+                set_ray(packet, lane, origin[lane, 0], origin[lane, 1], origin[lane, 2], dx, dy, dz, start, far, kinds)
+                passed[lane] = t
+                count += 1
+                active = True
             layer += 1
     return count
 
 
 @kernel
-def _view_tiles(rays, camera, materials, geometry, lamps, world, begin, end, samples, seed, points, layers):
+def _view_tiles(rays, camera, materials, geometry, lamps, world, world_visibility, begin, end, samples, seed, points, layers):
     """Trace, evaluate and group the samples of the tiles begin..end-1.
 
     geometry: (vertices, triangles, corner_normals, attributes, material, object).  points: room for all that
-    can come.  layers: (H * W, 13) float32: albedo, emission, normal, position, depth.
+    can come.  layers: (H * W, LAYERS) float32.
     Returns the number of points and of rays.
     """
     vertices, triangle_vertices, corner_normals, attributes, material, object_of = geometry
@@ -194,70 +276,55 @@ def _view_tiles(rays, camera, materials, geometry, lamps, world, begin, end, sam
     packet = new_packet()
     surface = np.zeros(SURFACE, np.float32)
     rows = new_registers(materials)
-    hits = np.empty((WIDTH, samples, 3), np.float32)
-    triangles = hits.view(np.int32)
-    weight = np.empty((WIDTH, samples, 3), np.float32)
-    direction = np.empty((WIDTH, samples, 3), np.float32)
-    depth = np.empty((WIDTH, samples), np.float32)
-    shine = np.empty((WIDTH, 3), np.float32)
-    # Of each sample: position, error, ng, ns.  Of each group: first sample; count and sums.
-    sample = np.empty((samples, 10), np.float32)
-    group_of = np.empty(samples, np.int32)
-    first = np.empty(samples, np.int32)
-    group = np.empty((samples, 11), np.float32)
+    seen = _new_samples(samples)
+    weight, direction, depth, glass = seen.weight, seen.direction, seen.depth, seen.glass
+    triangles = seen.hits.view(np.int32)
+    # Of each row of a pixel: position, error, ng, ns.  Of each group: first row; count and sums.
+    most = (1 + PANES) * samples
+    sample = np.empty((most, 10), np.float32)
+    group_of = np.empty(most, np.int32)
+    first = np.empty(most, np.int32)
+    group = np.empty((most, 11), np.float32)
     pixel_width = abs(camera.window[1] - camera.window[0]) / np.float32(camera.size[0])
     n_points = 0
     n_rays = 0
     for tile in range(begin, end):
         tx = x0 + (tile % tiles_x) * TILE
         ty = y0 + (tile // tiles_x) * TILE
-        n_rays += _trace_tile(
-            rays,
-            camera,
-            materials,
-            material,
-            attributes,
-            lamps,
-            tx,
-            ty,
-            samples,
-            seed,
-            packet,
-            rows,
-            surface,
-            hits,
-            weight,
-            direction,
-            depth,
-            shine,
-        )
+        n_rays += _trace_tile(rays, camera, materials, geometry, lamps, tx, ty, samples, seed, packet, rows, surface, seen)
         for lane in range(WIDTH):
             px, py = tx + lane % TILE, ty + lane // TILE
             if px >= x1 or py >= y1:
                 continue
             pixel = (py - y0) * width + (px - x0)
             out = layers[pixel]
-            for c in range(3):
-                out[3 + c] = share * shine[lane, c]
+            for before in range(3):
+                for c in range(3):
+                    out[EMITTED + 3 * before + c] = share * seen.lamps[lane, before, c]
             nearest = -1
             groups = 0
-            for s in range(samples):
+            for s in range(seen.count[lane]):
                 triangle = triangles[lane, s, 0]
                 dx, dy, dz = direction[lane, s, 0], direction[lane, s, 1], direction[lane, s, 2]
                 wr, wg, wb = weight[lane, s, 0] * share, weight[lane, s, 1] * share, weight[lane, s, 2] * share
+                behind_glass = glass[lane, s] > 0
+                emitted = EMITTED + 3 * min(glass[lane, s], 2)
                 group_of[s] = -1
                 if triangle < 0:
-                    er, eg, eb = world_radiance(world, dx, dy, dz)
-                    out[3] += wr * er
-                    out[4] += wg * eg
-                    out[5] += wb * eb
+                    if world_visibility & (TRANSMISSION if behind_glass else CAMERA):
+                        er, eg, eb = world_radiance(world, dx, dy, dz)
+                        out[emitted] += wr * er
+                        out[emitted + 1] += wg * eg
+                        out[emitted + 2] += wb * eb
                     continue
-                u, v = hits[lane, s, 1], hits[lane, s, 2]
+                u, v = seen.hits[lane, s, 1], seen.hits[lane, s, 2]
                 x, y, z, gx, gy, gz, error = hit_point(vertices, triangle_vertices, triangle, u, v)
                 sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
                 behind = gx * dx + gy * dy + gz * dz > 0
                 cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
-                evaluate(materials, material[triangle], attributes, triangle, u, v, -cosine if behind else cosine, rows, surface)
+                signed = -cosine if behind else cosine
+                view_cosine = reflected_view(signed) if behind_glass else signed
+                evaluate(materials, material[triangle], attributes, triangle, u, v, view_cosine, rows, surface)
                 if materials.flags[material[triangle]] & NORMAL_MAPPED:
                     sx, sy, sz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
                     cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
@@ -265,12 +332,13 @@ def _view_tiles(rays, camera, materials, geometry, lamps, world, begin, end, sam
                     gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
                 ar, ag, ab = diffuse_albedo(surface, cosine)
                 ar, ag, ab = ar * wr, ag * wg, ab * wb
-                out[0] += ar
-                out[1] += ag
-                out[2] += ab
-                out[3] += wr * surface[EMISSION]
-                out[4] += wg * surface[EMISSION + 1]
-                out[5] += wb * surface[EMISSION + 2]
+                if not behind_glass:
+                    out[ALBEDO] += ar
+                    out[ALBEDO + 1] += ag
+                    out[ALBEDO + 2] += ab
+                out[emitted] += wr * surface[EMISSION]
+                out[emitted + 1] += wg * surface[EMISSION + 1]
+                out[emitted + 2] += wb * surface[EMISSION + 2]
                 sample[s, 0], sample[s, 1], sample[s, 2], sample[s, 3] = x, y, z, error
                 sample[s, 4], sample[s, 5], sample[s, 6] = gx, gy, gz
                 sample[s, 7], sample[s, 8], sample[s, 9] = sx, sy, sz
@@ -280,7 +348,8 @@ def _view_tiles(rays, camera, materials, geometry, lamps, world, begin, end, sam
                 k = 0
                 while k < groups:
                     f = first[k]
-                    if object_of[triangles[lane, f, 0]] == object_of[triangle] and _same_surface(
+                    alike = object_of[triangles[lane, f, 0]] == object_of[triangle] and (glass[lane, f] > 0) == behind_glass
+                    if alike and _same_surface(
                         x, y, z, sx, sy, sz, sample[f, 0], sample[f, 1], sample[f, 2], sample[f, 7], sample[f, 8], sample[f, 9], footprint
                     ):
                         break
@@ -302,23 +371,23 @@ def _view_tiles(rays, camera, materials, geometry, lamps, world, begin, end, sam
                 group[k, 9] += surface[GLOSSY_F90 + 2] * wb
                 group[k, 10] += surface[ROUGHNESS]
             if nearest < 0:
-                out[12] = WORLD_DEPTH
+                out[DEPTH] = WORLD_DEPTH
                 continue
-            out[6], out[7], out[8] = sample[nearest, 7], sample[nearest, 8], sample[nearest, 9]
-            out[9], out[10], out[11] = sample[nearest, 0], sample[nearest, 1], sample[nearest, 2]
-            out[12] = depth[lane, nearest]
+            for c in range(3):
+                out[NORMALS + c], out[POSITION + c] = sample[nearest, 7 + c], sample[nearest, c]
+            out[DEPTH] = depth[lane, nearest]
             for k in range(groups):
-                light = np.float32(0.0)
+                reflected = _0
                 for c in range(1, 10):
-                    light += group[k, c]
-                if not light > 0:  # black: no light would show
+                    reflected += group[k, c]
+                if not reflected > 0:  # black: no light would show
                     continue
                 # A member drawn at random stands for all: right in the mean, however steeply the light varies in the pixel.
                 inverse = np.float32(1.0) / group[k, 0]
                 number = py * camera.size[0] + px
                 left = np.int64(uniform(seed, number, k, 1) * group[k, 0])
                 best = -1
-                for s in range(samples):
+                for s in range(seen.count[lane]):
                     if group_of[s] == k:
                         best = s
                         left -= 1
@@ -338,6 +407,7 @@ def _view_tiles(rays, camera, materials, geometry, lamps, world, begin, end, sam
                 points.pixel[i] = pixel
                 points.triangle[i] = triangles[lane, best, 0]
                 points.roughness[i] = group[k, 10] * inverse
+                points.behind_glass[i] = glass[lane, best] > 0
     return n_points, n_rays
 
 
@@ -346,7 +416,7 @@ def view(scene: Scene, rays, world, samples: int, seed: int, threads: int = 0, p
     camera = camera_tables(scene.camera)
     x0, y0, x1, y1 = (int(b) for b in camera.border)
     height, width = y1 - y0, x1 - x0
-    layers = np.zeros((height * width, 13), np.float32)
+    layers = np.zeros((height * width, LAYERS), np.float32)
     tiles = -(-width // TILE) * -(-height // TILE)
     chunk = 16
     g = scene.geometry
@@ -354,20 +424,19 @@ def view(scene: Scene, rays, world, samples: int, seed: int, threads: int = 0, p
     lamps = visible_lamps(scene)
 
     def work(begin, end):
-        room = ShadingPoints.allocate((end - begin) * WIDTH * samples)
+        room = ShadingPoints.allocate((end - begin) * WIDTH * (1 + PANES) * samples)
         n, n_rays = _view_tiles(
-            rays, camera, scene.materials.tables, geometry, lamps, world, begin, end, samples, np.uint32(seed), room, layers
-        )
-        return room.take(slice(0, n)), n_rays
+            rays, camera, scene.materials.tables, geometry, lamps, world, scene.world.visibility,
+            begin, end, samples, np.uint32(seed), room, layers,
+        )  # fmt: skip
+        return room.first(n), n_rays
 
     parts = run_chunks(work, tiles, chunk, threads, progress)
-    shaped = layers.reshape(height, width, 13)
+    shaped = layers.reshape(height, width, LAYERS)
+    starts = (ALBEDO, EMITTED, EMITTED + 3, EMITTED + 6, NORMALS, POSITION)
     return View(
-        np.ascontiguousarray(shaped[..., 0:3]),
-        np.ascontiguousarray(shaped[..., 3:6]),
-        np.ascontiguousarray(shaped[..., 6:9]),
-        np.ascontiguousarray(shaped[..., 9:12]),
-        np.ascontiguousarray(shaped[..., 12]),
+        *(np.ascontiguousarray(shaped[..., at : at + 3]) for at in starts),
+        np.ascontiguousarray(shaped[..., DEPTH]),
         ShadingPoints.concatenate([part for part, _ in parts]),
         sum(n for _, n in parts),
     )

@@ -7,19 +7,20 @@ import pytest
 
 from lumigate.core import scene as sc
 from lumigate.core.lamps import world_tables
+from lumigate.core.pipeline import denoising_guides
 from lumigate.core.rays import RayScene
-from lumigate.core.surfaces.layout import TRANSPARENCY
+from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, REFRACTION, TRANSPARENCY
 from lumigate.core.view.primary import view
 
 from .conftest import camera, geometry, materials, quads, scene
 
 
-def seen(s, samples=16, seed=1):
+def seen(s, samples=16, seed=1, threads=0):
     """The view of a scene."""
     g = s.geometry
     transparent = (s.materials.tables.flags[g.material] & sc.TRANSPARENT) != 0
     with RayScene(g.vertices, g.triangles, g.object_visibility[g.object], transparent) as rays:
-        return view(s, rays.tables, world_tables(s.world), samples, seed)
+        return view(s, rays.tables, world_tables(s.world), samples, seed, threads)
 
 
 def test_a_surface_is_lit_wherever_its_pixel_shows_it():
@@ -134,3 +135,88 @@ def test_tinted_glass_is_free_of_noise():
     picture = seen(scene(geometry(vertices, triangles, np.repeat([0, 1], 2)), stuff), 4)
     np.testing.assert_allclose(picture.emission, np.broadcast_to((0.2, 0.4, 0.6), picture.emission.shape), rtol=1e-5)
     np.testing.assert_allclose(picture.albedo, 0.5 * picture.emission, rtol=1e-5)
+
+
+def glazed(depths, reflects=0.0, color=(0.5, 1.0, 0.8), visibility=sc.ALL_RAYS, **rest):
+    """A shining wall of albedo .5 at z = -9, and panes of glass before it that let `color` (1 - reflects) through."""
+    vertices, triangles = quads(wall(-9), *map(wall, depths))
+    stuff = materials((0.5, 1.0), (0.0, 0.0))
+    stuff.tables.flags[1] |= sc.TRANSPARENT
+    constant = stuff.tables.constant[1]
+    constant[TRANSPARENCY : TRANSPARENCY + 3] = constant[REFRACTION : REFRACTION + 3] = np.array(color) * (1 - reflects)
+    constant[GLOSSY_F0 : GLOSSY_F0 + 3] = constant[GLOSSY_F90 : GLOSSY_F90 + 3] = reflects
+    g = geometry(vertices, triangles, np.repeat([0] + [1] * len(depths), 2))
+    g.object[2:] = 1
+    g.object_names, g.object_visibility = ["wall", "panes"], np.array([visibility, sc.ALL_RAYS], np.uint8)
+    return scene(g, stuff, **rest)
+
+
+def shown(picture, values, channel=0):
+    """Sum over each pixel's points of one channel."""
+    return np.bincount(picture.points.pixel, values[:, channel], picture.albedo[..., 0].size)
+
+
+def test_what_glass_shows_is_apart_from_the_pane():
+    picture = seen(glazed([-3]), 4)
+    assert picture.points.behind_glass.all()
+    np.testing.assert_allclose(shown(picture, picture.points.albedo), 0.25, rtol=1e-5)
+    np.testing.assert_allclose(picture.emission_behind_one, np.broadcast_to((0.5, 1.0, 0.8), picture.emission.shape), rtol=1e-5)
+    for layer in (picture.albedo, picture.emission, picture.emission_behind_more):
+        assert not layer.any()
+    np.testing.assert_allclose(picture.depth, 3, rtol=1e-5)
+    np.testing.assert_allclose(picture.position[..., 2], -3, rtol=1e-5)
+
+
+def test_a_pane_shows_what_it_reflects_beside_what_lies_behind():
+    # Two surfaces, of which every sample shows all three: no noise.  Only the light of the first is the pane's own.
+    picture = seen(glazed([-3, -4], reflects=0.1), 4)
+    first = picture.points.behind_glass == 0
+    np.testing.assert_allclose(shown(picture, picture.points.f0 * first[:, None]), 0.1, rtol=1e-5)
+    np.testing.assert_allclose(shown(picture, picture.points.f0 * ~first[:, None]), 0.45 * 0.1, rtol=1e-5)
+    np.testing.assert_allclose(shown(picture, picture.points.albedo), 0.5 * 0.45**2, rtol=1e-5)
+    np.testing.assert_allclose(picture.emission_behind_more[..., 0], 0.45**2, rtol=1e-5)
+    assert not picture.emission_behind_one.any()
+
+
+def test_many_panes_are_right_in_the_mean():
+    picture = seen(glazed([-2, -3, -4, -5, -6], reflects=0.2, color=(1, 1, 1)), 64)
+    assert picture.emission_behind_more.mean() == pytest.approx(0.8**5, rel=0.01)
+    assert shown(picture, picture.points.f0).mean() == pytest.approx(1 - 0.8**5, rel=0.01)
+
+
+def test_a_veil_before_glass_stays_a_veil():
+    # Mixed half and half with glass: what passes straight is booked as without it.
+    s = glazed([-3], color=(0.8, 0.8, 0.8))
+    s.materials.tables.constant[1, REFRACTION : REFRACTION + 3] = 0.4
+    picture = seen(s, 64)
+    for layer in (picture.emission, picture.emission_behind_one):
+        assert layer.mean() == pytest.approx(0.4, rel=0.02)
+    assert picture.albedo.mean() == pytest.approx(0.2, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", [sc.CAMERA, sc.TRANSMISSION], ids=["camera", "transmission"])
+@pytest.mark.parametrize("panes", [[], [-3]], ids=["free", "through glass"])
+def test_who_may_see_surfaces_lamps_and_world(panes, kind):
+    met = (kind == sc.TRANSMISSION) == bool(panes)
+    layer = "emission_behind_one" if panes else "emission"
+    assert getattr(seen(glazed(panes, visibility=kind)), layer).any() == met
+    lamp = spheres(((0, 0, -6), 1.0, 3.0, kind))
+    assert getattr(seen(glazed(panes, visibility=0, lamps=lamp)), layer).any() == met
+    nothing = glazed(panes, visibility=0)
+    assert getattr(seen(replace(nothing, world=sc.World(np.ones((1, 1, 3), np.float32), kind))), layer).any() == met
+
+
+def test_glass_is_the_same_for_any_number_of_threads():
+    s = glazed([-2, -3, -4, -5], reflects=0.2, camera=camera(width=96, height=64))
+    one, two = seen(s, 4, threads=1), seen(s, 4, threads=2)
+    for a, b in zip(one.points, two.points):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(one.emission_behind_more, two.emission_behind_more)
+
+
+def test_the_denoiser_is_told_what_glass_shows():
+    free, behind = (seen(glazed(panes), 4) for panes in ([], [-3]))
+    albedo, normal = denoising_guides(behind)
+    np.testing.assert_allclose(albedo, free.albedo * behind.emission_behind_one, rtol=1e-5)
+    np.testing.assert_allclose(normal, free.normal, atol=1e-5)
+    assert denoising_guides(free)[0] is free.albedo

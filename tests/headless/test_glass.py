@@ -1,0 +1,123 @@
+"""Glass against Cycles: what is seen through it is transmitted light, what it reflects is glossy light."""
+
+import hashlib
+import math
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from lumigate.addon.extract import extract_scene
+from lumigate.core.pipeline import render
+from lumigate.core.settings import RenderSettings
+from lumigate.headless.cache import cached_halves
+
+from .test_direct_light import lamp, look, material, quad
+
+SIZE = (48, 27)
+SPP = 256
+SEEDS = 4
+# Columns of the picture behind each thing, without those at its edges.
+BEHIND = {"slab": slice(1, 11), "film": slice(13, 23), "veil": slice(25, 35), "nothing": slice(37, 47)}
+
+
+def shader(name, node_type, **inputs):
+    """A material of one shader node."""
+    made = material(name)
+    tree = made.node_tree
+    node = tree.nodes.new(node_type)
+    for key, value in inputs.items():
+        node.inputs[key].default_value = value
+    tree.links.new(node.outputs[0], tree.get_output_node("CYCLES").inputs["Surface"])
+    return made
+
+
+def slab(scene, x0, x1, y0, y1, z0, z1, surface):
+    """A closed box, seen along y."""
+    corners = [(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)]
+    mesh = bpy.data.meshes.new("Slab")
+    mesh.from_pydata(corners, [], [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+    mesh.materials.append(surface)
+    scene.collection.objects.link(bpy.data.objects.new("Slab", mesh))
+
+
+def showcase():
+    """A lit corner with signs, seen through a slab of glass, through a film that refracts nothing, through a veil, and free.
+
+    The world shines in above.  A bright sign behind the camera shows in the slab.  No light passes glass to reach a surface,
+    for Cycles calls that indirect: the world lights nothing, the bright sign is far away, and panes hide nothing from walls.
+    """
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    white = material("White", Base_Color=(0.7, 0.6, 0.5, 1), Specular_IOR_Level=0.0)
+    quad(scene, [(-4, 0, 0), (4, 0, 0), (4, 3, 0), (-4, 3, 0)], white)
+    quad(scene, [(-4, 3, 0), (4, 3, 0), (4, 3, 2), (-4, 3, 2)], white)
+    for x in (-2.25, -0.75, 0.75, 2.25):
+        sign = shader("Sign", "ShaderNodeEmission", Strength=0.5)
+        quad(scene, [(x - 0.2, 2.99, 0.6), (x + 0.2, 2.99, 0.6), (x + 0.2, 2.99, 0.9), (x - 0.2, 2.99, 0.9)], sign)
+    bright = shader("Bright sign", "ShaderNodeEmission", Strength=4.0)
+    quad(scene, [(-4, -200, -5), (4, -200, -5), (4, -200, 1.2), (-4, -200, 1.2)], bright)
+    scene.collection.objects[-1].visible_diffuse = False
+    lamp(scene, "AREA", (0, 1.2, 2.2), energy=60.0, size=1.0, seen=False)
+    glass = material("Glass", Transmission_Weight=1.0, Roughness=0.0, IOR=1.5, Base_Color=(0.81, 1, 0.64, 1))
+    slab(scene, -3, -1.5, -0.52, -0.5, -1, 3, glass)
+    film = shader("Film", "ShaderNodeBsdfRefraction", Color=(0.5, 0.8, 1, 1), IOR=1.0)
+    quad(scene, [(-1.5, -0.5, -1), (0, -0.5, -1), (0, -0.5, 3), (-1.5, -0.5, 3)], film)
+    veil = shader("Veil", "ShaderNodeBsdfTransparent", Color=(0.5, 0.8, 1, 1))
+    quad(scene, [(0, -0.5, -1), (1.5, -0.5, -1), (1.5, -0.5, 3), (0, -0.5, 3)], veil)
+    for pane in scene.collection.objects[-3:]:
+        pane.visible_diffuse = False
+    world = scene.world = bpy.data.worlds.new("World")
+    if world.node_tree is None:  # Blender 4.5
+        world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.1, 0.2, 0.4, 1)
+    world.cycles_visibility.diffuse = world.cycles_visibility.glossy = False
+    look(scene, (0, -6, 1.0), (math.pi / 2, 0, 0), type="ORTHO", ortho_scale=6.0)
+    return scene
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """(halves of the reference, ours of some seeds)."""
+    scene = showcase()
+    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest()}
+    halves = cached_halves(scene, identity, size=SIZE, spp=SPP, bounces=4, seed=1)
+    arrays = extract_scene(scene, size=SIZE)
+    return halves, [render(arrays, RenderSettings(seed=seed, denoise=False)).layers for seed in range(SEEDS)]
+
+
+@pytest.mark.parametrize("name", ["Direct", "DiffuseIndirect", "GlossyIndirect", "Emission", "Albedo", "Combined"])
+@pytest.mark.parametrize("behind", BEHIND)
+def test_light_is_booked_as_cycles_books_it(pictures, behind, name):
+    halves, ours = ([layers[name][:, BEHIND[behind]].mean((0, 1), dtype=float) for layers in some] for some in pictures)
+    expected = np.mean(halves, axis=0)
+    noise = np.abs(halves[0] - halves[1]) / 2 + np.std(ours, axis=0, ddof=1) / math.sqrt(SEEDS)
+    # What the slab's back reflects leaves by its mean Fresnel term, 5 % less than at this view.
+    bound = 0.035 if behind == "slab" else 0.015
+    assert (np.abs(np.mean(ours, axis=0) - expected) <= bound * np.abs(expected) + 2 * noise).all()
+    assert (noise <= 0.03 * np.abs(expected)).all()
+
+
+def test_nothing_diffuse_is_seen_through_glass(pictures):
+    for layers in (*pictures[0], *pictures[1]):
+        for name in ("Albedo", "DiffuseIndirect", "Irradiance", "Emission"):
+            for behind in ("slab", "film"):
+                assert not layers[name][:, BEHIND[behind]].any()
+
+
+def test_depth_and_normal_are_the_pane_s(pictures):
+    for name in ("Depth", "Normal"):
+        for behind in ("slab", "film"):
+            expected, ours = (some[0][name][:, BEHIND[behind]] for some in pictures)
+            np.testing.assert_allclose(ours, expected, rtol=1e-4, atol=1e-5)
+
+
+def test_denoising_keeps_the_books():
+    arrays = extract_scene(showcase(), size=SIZE)
+    raw, clean = (render(arrays, RenderSettings(denoise=denoise, pixel_samples=8)).layers for denoise in (False, True))
+    for behind, columns in BEHIND.items():
+        for name in ("DiffuseIndirect", "GlossyIndirect", "Combined"):
+            before, after = (layers[name][:, columns].mean((0, 1), dtype=float) for layers in (raw, clean))
+            np.testing.assert_allclose(after, before, rtol=0.05, atol=0.005, err_msg=f"{name} {behind}")
+    assert not clean["DiffuseIndirect"][:, BEHIND["slab"]].any()
