@@ -9,7 +9,7 @@ import numpy as np
 from .errors import SceneError
 
 # Share of the reference's squared mean that keeps relative errors of dark pixels finite.
-_FLOOR = 0.01
+FLOOR = 0.01
 # Rec. 709 luminance.
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 # HDR-FLIP floors luminances near 1e-7 and ends the process below: dimmer references are brightened first.
@@ -34,7 +34,7 @@ def valid_pixels(*images: np.ndarray) -> np.ndarray:
 def _denominators(reference: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """r² + e with e = 0.01 mean(r)², of the valid pixels: (N, C)."""
     values = reference[valid]
-    return values**2 + _FLOOR * values.mean() ** 2
+    return values**2 + FLOOR * values.mean() ** 2
 
 
 def relmse(test: np.ndarray, reference: np.ndarray) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .denoise import Denoiser, mean_factor
+from .denoise import Denoiser
 from .errors import SceneError
 from .inspection import foresee
 from .jit import CompileTimer
@@ -21,13 +21,15 @@ from .methods.importance_sampling import ImportanceSampling
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
 from .particles import Vpls
+from .passes import WORTH, Passes
+from .picture import Picture, splat
 from .rays import RayScene
 from .scene import POINT, SPOT, TRANSPARENT, Scene, Skipped
 from .settings import RenderSettings
 from .threads import Cancelled, thread_count
 from .transport import Transport, transport
 from .view.points import ShadingPoints
-from .view.primary import View, view
+from .view.primary import view
 from .vpl_pool import vpl_pool
 
 # progress(stage, fraction) -> True to go on, False to cancel.
@@ -55,7 +57,14 @@ class _Run:
     pairs: int = 0
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    vpls: int = 0
     clusters: FuzzyClustering | None = None  # whose clusters the debug layers show
+    debug: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def skip(self, stage: str, why: str) -> None:
+        """Note what was left out, once."""
+        if Skipped(stage, why) not in self.skipped:
+            self.skipped.append(Skipped(stage, why))
 
     @contextmanager
     def stage(self, name: str):
@@ -73,7 +82,7 @@ class _Run:
 def render(
     scene: Scene, settings: RenderSettings, progress: StageProgress | None = None, *, extraction_seconds: float = 0.0
 ) -> RenderResult:
-    """Compute the layers that `settings` ask for.
+    """Compute the layers that `settings` ask for, in as many passes as its time budget or target error need.
 
     Raises:
         SceneError: the scene cannot be rendered with these settings.
@@ -83,10 +92,15 @@ def render(
     method = _method(settings)
     run = _Run(progress)
     run.seconds["extraction"] = extraction_seconds
-    if settings.time_budget is not None or settings.target_error is not None:
-        run.warnings.append(f"{method} has no error estimate: the time budget and the target error are not used; set --vpls instead")
     begin = time.perf_counter()
     threads = thread_count(settings.threads)
+
+    def elapsed() -> float:
+        return extraction_seconds + time.perf_counter() - begin - run.seconds.get("jit", 0.0)
+
+    denoiser = Denoiser() if settings.denoise else None
+    if denoiser and denoiser.warning:
+        run.warnings.append(denoiser.warning)
     with run.stage("rays"):
         geometry = scene.geometry
         transparent = (scene.materials.tables.flags[geometry.material] & TRANSPARENT) != 0
@@ -95,45 +109,72 @@ def render(
         with run.stage("emitters"):
             emitters = build_emitters(scene)
             skipped, warnings = foresee(scene, emitters)
-            run.skipped, run.warnings = [*scene.skipped, *skipped], [*scene.warnings, *warnings]
+            run.skipped = [*scene.skipped, *skipped]
+            run.warnings += [*scene.warnings, *warnings]
             tables = transport(geometry, scene.materials.tables, ray_scene.tables, emitters)
-        with run.stage("view") as tick:
-            seen = view(scene, ray_scene.tables, world_tables(scene.world), settings.pixel_samples, settings.seed, threads, tick)
-            run.rays["primary"] = seen.rays
-        points = seen.points
-        sampler = _sampler(run, tables, points, settings, threads)
-        with run.stage("direct") as tick:
-            direct, highlights = _direct(run, scene, tables, points, settings, threads, tick)
-        shown, reflected = _glossy(run, tables, points, settings, threads, sampler)
-        indirect, vpls = _indirect(run, tables, points, settings, threads, sampler)
-        debug = single_lights(tables, vpls, points, seen.shape, threads) if settings.debug_layers else {}
-        if settings.debug_layers and run.clusters is not None:
-            debug |= run.clusters.debug_layers(points, seen.shape)
-    layers = compose(seen, direct, indirect, highlights + shown, reflected, scene)
-    if settings.denoise:
+        camera = scene.camera
+        pixels = (camera.border[2] - camera.border[0]) * (camera.border[3] - camera.border[1])
+        passes = Passes(settings.time_budget, settings.target_error, pixels, threads)
+        quality = passes.first()
+        while quality is not None:
+            start = elapsed()
+            passes.add(_pass(run, scene, tables, settings.scaled(quality, passes.count), threads, quality**WORTH))
+            quality = passes.next(elapsed(), elapsed() - start, quality, denoiser)
+    picture = passes.picture
+    if denoiser:
         with run.stage("denoise"):
-            denoise(layers, *denoising_guides(seen), threads, run.warnings)
-    if settings.debug_layers:
-        layers.update(debug)
+            picture = picture.denoised(denoiser, threads, direct=settings.wants("Direct", "Combined"))
+            denoiser.close()
+    layers = picture.layers(scene)
+    layers.update(run.debug)
     if settings.layers is not None:
         for name in [name for name in layers if name not in settings.layers]:
             del layers[name]
-            run.skipped.append(Skipped("layers", f"{name} was not asked for"))
+            run.skip("layers", f"{name} was not asked for")
     run.seconds["jit"] = run.seconds.get("jit", 0.0)
     stats = {
         "method": method,
-        "size": [seen.shape[1], seen.shape[0]],
-        "vpls": len(vpls.bounce),
+        "size": [picture.depth.shape[1], picture.depth.shape[0]],
+        "vpls": run.vpls,
         "bounces": settings.bounces,
         "threads": threads,
+        "passes": passes.count,
+        "error_estimate": passes.estimate,
         "seconds": run.seconds,
-        "seconds_total": extraction_seconds + time.perf_counter() - begin - run.seconds["jit"],
+        "seconds_total": elapsed(),
         "rays": run.rays,
         "pairs_shaded": run.pairs,
         "skipped": [vars(s) for s in run.skipped],
         "warnings": run.warnings,
     }
     return RenderResult(layers, stats)
+
+
+def _pass(run: _Run, scene: Scene, tables: Transport, settings: RenderSettings, threads: int, weight: float) -> Picture:
+    """One picture of the view, its samples, VPLs and caches independent of those of other seeds."""
+    with run.stage("view") as tick:
+        seen = view(scene, tables.rays, world_tables(scene.world), settings.pixel_samples, settings.seed, threads, tick)
+        run.rays["primary"] += seen.rays
+    points = seen.points
+    nothing = np.zeros((len(points.pixel), 3), np.float32)
+    behind_glass = bool(points.behind_glass.any())
+    sampler = _sampler(run, tables, points, settings, threads)
+    direct = highlights = shown = reflected = nothing
+    wants = settings.wants
+    if wants("Direct", "Combined") or behind_glass:
+        with run.stage("direct") as tick:
+            direct, highlights = _direct(run, scene, tables, points, settings, threads, tick)
+    if wants("Direct", "Combined", "GlossyIndirect", "Indirect"):
+        shown, reflected = _glossy(run, tables, points, settings, threads, sampler)
+    indirect = nothing
+    if wants("DiffuseIndirect", "Indirect", "Irradiance", "Combined") or (behind_glass and wants("GlossyIndirect")):
+        indirect, vpls = _indirect(run, tables, points, settings, threads, sampler)
+        run.vpls += len(vpls.bounce)
+        if settings.debug_layers and not run.debug:
+            run.debug = single_lights(tables, vpls, points, seen.shape, threads)
+            if run.clusters is not None:
+                run.debug |= run.clusters.debug_layers(points, seen.shape)
+    return Picture.compose(seen, direct, indirect, highlights + shown, reflected, weight)
 
 
 def _method(settings: RenderSettings) -> str:
@@ -184,14 +225,14 @@ def _glossy(
     """Direct and indirect radiance (N, 3) that rays drawn from the points' lobes find."""
     nothing = np.zeros((len(points.pixel), 3), np.float32)
     if not has_lobes(points) or settings.reflections < 1:
-        run.skipped.append(Skipped("glossy", "no visible surface is glossy" if settings.reflections > 0 else "no reflections asked for"))
+        run.skip("glossy", "no visible surface is glossy" if settings.reflections > 0 else "no reflections asked for")
         return nothing, nothing
     with run.stage("glossy") as tick:
         shown, reflected, rays = reflect(
             tables, points, settings.direct_samples, settings.reflections, settings.bounces, settings.seed, threads, tick,
             cache=sampler.cache if sampler else None, near=sampler.near if sampler else np.inf,
         )  # fmt: skip
-        run.rays["reflected"] = rays
+        run.rays["reflected"] = run.rays.get("reflected", 0) + rays
     return shown, reflected
 
 
@@ -201,10 +242,10 @@ def _indirect(
     """Indirect irradiance at the points (N, 3), and the VPLs that it came from."""
     nothing = np.zeros((len(points.pixel), 3), np.float32)
     if settings.bounces < 1 or settings.vpls < 1:
-        run.skipped.append(Skipped("vpls", "no bounces or no VPLs asked for"))
+        run.skip("vpls", "no bounces or no VPLs asked for")
         return nothing, Vpls.allocate(0)
     if not points.albedo.any():
-        run.skipped.append(Skipped("vpls", "every visible albedo is black"))
+        run.skip("vpls", "every visible albedo is black")
         return nothing, Vpls.allocate(0)
     with run.stage("vpls") as tick:
         if sampler:
@@ -214,9 +255,9 @@ def _indirect(
         run.rays["light"] += counts["light"]
         run.rays["shadow"] += counts["shadow"]
         if counts["useless"]:
-            run.skipped.append(Skipped("vpls", f"{counts['useless']} of {counts['traced']} VPLs lie behind every visible point"))
+            run.skip("vpls", f"{counts['useless']} of {counts['traced']} VPLs lie behind every visible point")
     if len(vpls.bounce) == 0 and sampler is None:
-        run.skipped.append(Skipped("vpls", "no lamp's light reaches a surface"))
+        run.skip("vpls", "no lamp's light reaches a surface")
         return nothing, Vpls.allocate(0)
     with run.stage("indirect") as tick:
         if sampler:
@@ -250,102 +291,11 @@ def _indirect(
     return irradiance, vpls
 
 
-def splat(points: ShadingPoints, irradiance: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Outgoing diffuse radiance of the pixels, (H, W, 3): the sum of albedo * irradiance / pi over their points."""
-    return splat_radiance(points, points.albedo * irradiance * np.float32(1 / np.pi), shape)
-
-
-def splat_radiance(points: ShadingPoints, radiance: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Sum of the radiance (N, 3) of each pixel's points, (H, W, 3)."""
-    n = shape[0] * shape[1]
-    out = np.empty((n, 3), np.float32)
-    for c in range(3):
-        out[:, c] = np.bincount(points.pixel, radiance[:, c], n)
-    return out.reshape(*shape, 3)
-
-
-def compose(
-    seen: View, direct: np.ndarray, indirect: np.ndarray, glossy_direct: np.ndarray, glossy_indirect: np.ndarray, scene: Scene
-) -> Layers:
-    """The layers of the contract from irradiances and glossy radiances (N, 3) at the shading points.
-
-    Glass is a bounce, as in Cycles: all light of the surfaces behind it is indirect, and specular, whatever it is to them.
-    What shines behind it is direct light after one surface of glass, indirect light after more.
-    """
-    shape, points = seen.shape, seen.points
-    diffuse = points.albedo * np.float32(1 / np.pi)
-    first, later = diffuse * direct + glossy_direct, diffuse * indirect
-    behind = points.behind_glass[:, None] > 0
-    all_direct = splat_radiance(points, first * ~behind, shape) + seen.emission_behind_one
-    diffuse_indirect = splat_radiance(points, later * ~behind, shape)
-    glossy_indirect = splat_radiance(points, glossy_indirect + (first + later) * behind, shape) + seen.emission_behind_more
-    total = diffuse_indirect + glossy_indirect
-    with np.errstate(divide="ignore", invalid="ignore"):
-        irradiance = np.where(seen.albedo > 0, np.float32(np.pi) * diffuse_indirect / seen.albedo, np.float32(0))
-    position = np.where(seen.depth[..., None] < 1e9, seen.position + scene.origin.astype(np.float32), np.float32(0))
-    camera = scene.camera
-    return Layers(
-        {
-            "Combined": all_direct + total + seen.emission,
-            "Direct": all_direct,
-            "Indirect": total,
-            "DiffuseIndirect": diffuse_indirect,
-            "GlossyIndirect": glossy_indirect,
-            "Irradiance": irradiance,
-            "Albedo": seen.albedo,
-            "Emission": seen.emission,
-            "Normal": seen.normal,
-            "Position": position,
-            "Depth": seen.depth,
-        },
-        view_layer=scene.view_layer,
-        offset=(camera.border[0], camera.border[1]),
-        full_size=(camera.width, camera.height),
-    )
-
-
-def denoising_guides(seen: View) -> tuple[np.ndarray, np.ndarray]:
-    """Albedo and normal (H, W, 3) that tell the denoiser where edges are: where there is glass, those of what it shows."""
-    behind = seen.points.take(seen.points.behind_glass > 0)
-    if len(behind.pixel) == 0:
-        return seen.albedo, seen.normal
-    through = splat_radiance(behind, behind.albedo, seen.shape)
-    shown = behind.albedo.mean(axis=1, keepdims=True)
-    normal = seen.albedo.mean(axis=2, keepdims=True) * seen.normal + splat_radiance(behind, shown * behind.ns, seen.shape)
-    length = np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), np.float32(1e-9))
-    return seen.albedo + through, np.where(through.any(axis=2, keepdims=True), normal / length, seen.normal)
-
-
-def denoise(layers: Layers, albedo: np.ndarray, normal: np.ndarray, threads: int, warnings: list[str]) -> None:
-    """Denoise the light in place; the diffuse indirect light free of albedo, so that textures and edges stay as sharp as they were.
-
-    albedo, normal: of `denoising_guides`.
-    """
-    denoiser = Denoiser()
-    if denoiser.warning:
-        warnings.append(denoiser.warning)
-
-    def cleaned(image: np.ndarray, **options) -> np.ndarray:
-        return denoiser.denoise(image, albedo, normal, position=layers["Position"], threads=threads, **options)
-
-    irradiance = np.where(layers["Albedo"] > 0, cleaned(layers["Irradiance"]), np.float32(0))
-    diffuse = irradiance * layers["Albedo"] * np.float32(1 / np.pi)
-    # What counts is the mean of the picture, not of the irradiance.
-    factor = mean_factor(layers["DiffuseIndirect"], diffuse)
-    layers["Irradiance"], layers["DiffuseIndirect"] = factor * irradiance, factor * diffuse
-    for name in ("GlossyIndirect", "Direct"):
-        if layers[name].any():
-            layers[name] = cleaned(layers[name], preserve_mean=True)
-    denoiser.close()
-    layers["Indirect"] = layers["DiffuseIndirect"] + layers["GlossyIndirect"]
-    layers["Combined"] = layers["Direct"] + layers["Indirect"] + layers["Emission"]
-
-
 def single_lights(tables: Transport, vpls: Vpls, points: ShadingPoints, shape: tuple[int, int], threads: int) -> dict[str, np.ndarray]:
     """Debug layers: the light of the strongest VPLs, one by one."""
     found = {}
     for rank, j in enumerate(np.argsort(-vpls.flux.mean(axis=1), kind="stable")[:SINGLE_LIGHTS]):
         solver = InstantRadiosity(compensation=0, threads=threads)
         solver.prepare(tables, vpls.take([j]), points)
-        found[f"VPL{rank}"] = splat(points, solver.irradiance(points), shape)
+        found[f"VPL{rank}"] = splat(points, points.albedo * solver.irradiance(points) * np.float32(1 / np.pi), shape)
     return found

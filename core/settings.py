@@ -64,3 +64,19 @@ class RenderSettings:
         choice = {"pixel_samples": (8, 16), "direct_samples": (4, 16), "reflections": (2, 8)}
         open_ = {name: few if sampled else many for name, (few, many) in choice.items() if getattr(self, name) is None}
         return replace(self, method=method, denoise=denoise, **open_)
+
+    def wants(self, *names: str) -> bool:
+        """Whether any of these layers is asked for."""
+        return self.layers is None or any(name in self.layers for name in names)
+
+    def scaled(self, quality: float, number: int) -> RenderSettings:
+        """The request for one pass that takes about `quality` of the time of one, with random numbers of its own."""
+        if quality == 1.0 and number == 0:
+            return self
+        fewer = {
+            name: max(1, round(quality * getattr(self, name)))
+            for name in ("pixel_samples", "direct_samples", "samples", "gather", "reflections")
+            if getattr(self, name) > 0
+        }
+        vpls = max(min(self.vpls, 256), round(quality**0.5 * self.vpls))
+        return replace(self, seed=self.seed + 15485863 * number, vpls=vpls, **fewer)

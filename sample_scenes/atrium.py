@@ -217,8 +217,8 @@ def _lower_storey(detail: Detail, look: dict[str, Surface]) -> None:
     _arcade(detail, "Arcade", look["ashlar"], 2.14, 1, SPRING - 0.003, GALLERY - 0.16, WALL)
     if detail.full:
         _archivolts(detail, "Archivolt", look["stone"], 2.14, 1, SPRING, WALL)
-    course = [(-0.2, 0.0), (0.04, 0.0), (0.06, 0.05), (0.10, 0.07), (0.16, 0.16), (0.18, 0.16), (0.18, 0.23), (-0.2, 0.23)]
-    place("String course", mesh("String course", _moulding(course, 0.25, GALLERY - 0.22), look["stone"]))
+    course = [(-0.2, 0.0), (0.04, 0.0), (0.06, 0.05), (0.10, 0.07), (0.16, 0.16), (0.18, 0.16), (0.18, 0.24), (-0.2, 0.24)]
+    place("String course", mesh("String course", _moulding(course, 0.25, GALLERY - 0.23), look["stone"]))
 
 
 def _upper_storey(detail: Detail, look: dict[str, Surface]) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from lumigate.core import scene as sc
 from lumigate.core.lamps import world_tables
-from lumigate.core.pipeline import denoising_guides
+from lumigate.core.picture import denoising_guides
 from lumigate.core.rays import RayScene
 from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, REFRACTION, TRANSPARENCY
 from lumigate.core.view.primary import view

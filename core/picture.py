@@ -1,0 +1,142 @@
+"""What one or more passes have found of a view, pixel by pixel, and the layers that it makes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .denoise import Denoiser, mean_factor
+from .layers import Layers
+from .scene import Scene
+from .view.points import ShadingPoints
+from .view.primary import View
+
+# What passes average; position and depth are the first one's.
+_MEANS = ("direct", "diffuse_indirect", "glossy_indirect", "albedo", "emission", "normal", "guide_albedo", "guide_normal")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Light and guides of a view, (H, W, 3) float32 each but for depth (H, W).
+
+    direct, diffuse_indirect, glossy_indirect, emission: radiance (W/m^2/sr).  guide_albedo, guide_normal: tell a denoiser
+    where edges are.  weight: how many samples it stands for, on any scale.
+    """
+
+    direct: np.ndarray
+    diffuse_indirect: np.ndarray
+    glossy_indirect: np.ndarray
+    albedo: np.ndarray
+    emission: np.ndarray
+    normal: np.ndarray
+    guide_albedo: np.ndarray
+    guide_normal: np.ndarray
+    position: np.ndarray
+    depth: np.ndarray
+    weight: float = 1.0
+
+    @staticmethod
+    def compose(
+        seen: View, direct: np.ndarray, indirect: np.ndarray, glossy_direct: np.ndarray, glossy_indirect: np.ndarray, weight: float = 1.0
+    ) -> Picture:
+        """The picture of irradiances and glossy radiances (N, 3) at the shading points.
+
+        Glass is a bounce, as in Cycles: all light of the surfaces behind it is indirect, and specular, whatever it is to
+        them.  What shines behind it is direct light after one surface of glass, indirect light after more.
+        """
+        shape, points = seen.shape, seen.points
+        diffuse = points.albedo * np.float32(1 / np.pi)
+        first, later = diffuse * direct + glossy_direct, diffuse * indirect
+        behind = points.behind_glass[:, None] > 0
+        return Picture(
+            direct=splat(points, first * ~behind, shape) + seen.emission_behind_one,
+            diffuse_indirect=splat(points, later * ~behind, shape),
+            glossy_indirect=splat(points, glossy_indirect + (first + later) * behind, shape) + seen.emission_behind_more,
+            albedo=seen.albedo,
+            emission=seen.emission,
+            normal=seen.normal,
+            **dict(zip(("guide_albedo", "guide_normal"), denoising_guides(seen))),
+            position=seen.position,
+            depth=seen.depth,
+            weight=weight,
+        )
+
+    def blend(self, other: Picture) -> Picture:
+        """The mean of both by their weights."""
+        whole = self.weight + other.weight
+        a, b = np.float32(self.weight / whole), np.float32(other.weight / whole)
+        return replace(self, weight=whole, **{name: a * getattr(self, name) + b * getattr(other, name) for name in _MEANS})
+
+    @property
+    def indirect(self) -> np.ndarray:
+        """Diffuse and glossy indirect light."""
+        return self.diffuse_indirect + self.glossy_indirect
+
+    @property
+    def irradiance(self) -> np.ndarray:
+        """pi times diffuse indirect light / albedo, W/m^2; 0 where the albedo is."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.albedo > 0, np.float32(np.pi) * self.diffuse_indirect / self.albedo, np.float32(0))
+
+    def denoised(self, denoiser: Denoiser, threads: int, *, direct: bool = True) -> Picture:
+        """Without noise: the diffuse indirect light free of albedo, so that textures and edges stay as sharp as they were.
+
+        direct: whether direct light, too.
+        """
+
+        def cleaned(image: np.ndarray, **options) -> np.ndarray:
+            return denoiser.denoise(image, self.guide_albedo, self.guide_normal, position=self.position, threads=threads, **options)
+
+        found = {}
+        if self.diffuse_indirect.any():
+            diffuse = np.where(self.albedo > 0, cleaned(self.irradiance), np.float32(0)) * self.albedo * np.float32(1 / np.pi)
+            # What counts is the mean of the picture, not of the irradiance.
+            found["diffuse_indirect"] = mean_factor(self.diffuse_indirect, diffuse) * diffuse
+        for name in ("glossy_indirect", "direct") if direct else ("glossy_indirect",):
+            if getattr(self, name).any():
+                found[name] = cleaned(getattr(self, name), preserve_mean=True)
+        return replace(self, **found)
+
+    def layers(self, scene: Scene) -> Layers:
+        """The layers of the contract (design.md, section 3)."""
+        camera = scene.camera
+        return Layers(
+            {
+                "Combined": self.direct + self.indirect + self.emission,
+                "Direct": self.direct,
+                "Indirect": self.indirect,
+                "DiffuseIndirect": self.diffuse_indirect,
+                "GlossyIndirect": self.glossy_indirect,
+                "Irradiance": self.irradiance,
+                "Albedo": self.albedo,
+                "Emission": self.emission,
+                "Normal": self.normal,
+                "Position": np.where(self.depth[..., None] < 1e9, self.position + scene.origin.astype(np.float32), np.float32(0)),
+                "Depth": self.depth,
+            },
+            view_layer=scene.view_layer,
+            offset=(camera.border[0], camera.border[1]),
+            full_size=(camera.width, camera.height),
+        )
+
+
+def splat(points: ShadingPoints, radiance: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Sum of the radiance (N, 3) of each pixel's points, (H, W, 3)."""
+    n = shape[0] * shape[1]
+    out = np.empty((n, 3), np.float32)
+    for c in range(3):
+        out[:, c] = np.bincount(points.pixel, radiance[:, c], n)
+    return out.reshape(*shape, 3)
+
+
+def denoising_guides(seen: View) -> tuple[np.ndarray, np.ndarray]:
+    """Albedo and normal (H, W, 3) that tell the denoiser where edges are: where there is glass, those of what it shows."""
+    behind = seen.points.take(seen.points.behind_glass > 0)
+    if len(behind.pixel) == 0:
+        return seen.albedo, seen.normal
+    through = splat(behind, behind.albedo, seen.shape)
+    shown = behind.albedo.mean(axis=1, keepdims=True)
+    normal = seen.albedo.mean(axis=2, keepdims=True) * seen.normal + splat(behind, shown * behind.ns, seen.shape)
+    length = np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), np.float32(1e-9))
+    return seen.albedo + through, np.where(through.any(axis=2, keepdims=True), normal / length, seen.normal)
