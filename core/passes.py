@@ -28,7 +28,7 @@ BEGIN = 0.35  # of a time budget, for the pass that tells how long others take
 # A pass of twice the quality is worth more than two: its cache of light and its pool of VPLs are larger.
 WORTH = 1.5
 # Error of a picture by its worth: a denoised one's falls more slowly than noise does.
-SLOPE = 0.4
+SLOPE = 0.25
 
 
 @dataclass

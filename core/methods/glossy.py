@@ -2,7 +2,8 @@
 
 What such a ray finds shining is direct light, which it shares with the shadow rays of `lamps.direct` by multiple
 importance sampling: narrow lobes find broad lights, shadow rays find small lights for broad lobes.  The lit surfaces
-that it finds are shading points themselves: diffuse ones are lit by paths (`tails`), and mirrors reflect in turn.
+that it finds are shading points themselves: diffuse ones are lit by paths (`tails`) or, for lobes that would blur it
+anyway, by the cache of light, and mirrors reflect in turn.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ from ..surfaces.layout import (
     diffuse_albedo,
     glossy_albedo,
 )
-from ..surfaces.lobes import LOBE, NEGLIGIBLE, reflection_count, sample_lobe
+from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, reflection_count, sample_lobe
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import evaluate, new_registers, reflected_view
 from ..surfaces.visibility import nearest_surface
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .light_cache import LightCache
+from .light_cache import LightCache, find_cell, no_cache
 from .tails import tail_light
 
 CHUNK = 512  # points a chunk
@@ -47,6 +48,7 @@ _SURE = 3  # reflections after which chance ends dim paths
 _NARROW = np.float32(0.35)
 _SEED = 0x9E3779B9  # sets these rays apart from those of other stages
 _0 = np.float32(0.0)
+_INV_PI = np.float32(1 / np.pi)
 _1 = np.float32(1.0)
 _SHORT = np.float32(0.9999)  # as for shadow rays: a lamp often lies in a surface
 
@@ -90,11 +92,14 @@ def _lamps_along(scene, packet, rows, surface, expected, drawn, x, y, z, error, 
 
 
 @kernel
-def _reflect_chunk(scene, points, owner, begin, end, samples, most, roulette, seed, first, shown, hits, mirror):
+def _reflect_chunk(
+    scene, cache, near, row, points, owner, begin, end, samples, most, roulette, seed, first, shown, known, hits, mirror
+):  # fmt: skip
     """Draw up to `most` rays from the lobe of each point begin..end-1: emission that they meet is added to `shown` (N, 3).
 
     The surfaces met go into `hits`, whose `pixel` is the `owner` (N,) of their point and whose albedo, f0 and f90 hold the
-    weight of their ray; one with a narrow lobe reflects (mirror (H,) is 1) or is diffuse (0) at random.
+    weight of their ray; one with a narrow lobe reflects (mirror (H,) is 1) or is diffuse (0) at random.  Where the lobe is
+    wider than the cells of the cache, and the surface farther than `near`, what it sends by row `row` is added to `known` (N, 3).
     Returns the number of hits and of rays.
     """
     emitters = scene.emitters
@@ -130,7 +135,7 @@ def _reflect_chunk(scene, points, owner, begin, end, samples, most, roulette, se
             shown[i, 1] += wg * g
             shown[i, 2] += wb * b
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-            triangle, u, v, _, tr, tg, tb = nearest_surface(
+            triangle, u, v, t, tr, tg, tb = nearest_surface(
                 scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), GLOSSY, key, index, 0
             )
             wr, wg, wb = wr * tr, wg * tg, wb * tb
@@ -176,6 +181,13 @@ def _reflect_chunk(scene, points, owner, begin, end, samples, most, roulette, se
                 shown[i, 0] += share * wr * surface[EMISSION]
                 shown[i, 1] += share * wg * surface[EMISSION + 1]
                 shown[i, 2] += share * wb * surface[EMISSION + 2]
+            if t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
+                cell = find_cell(cache, px, py, pz, hx, hy, hz, uniform(key, index, 1, 2), uniform(key, index, 1, 3))
+                if cell >= 0:
+                    known[i, 0] += wr * _INV_PI * cache.radiosity[row, cell, 0]
+                    known[i, 1] += wg * _INV_PI * cache.radiosity[row, cell, 1]
+                    known[i, 2] += wb * _INV_PI * cache.radiosity[row, cell, 2]
+                    continue
             if roulette:
                 go_on = min(np.float32(0.95), max(wr, wg, wb))
                 if uniform(key, index, 1, 0) >= go_on:
@@ -211,24 +223,26 @@ def _reflect_chunk(scene, points, owner, begin, end, samples, most, roulette, se
 
 
 def _draw(
-    scene: Transport, points: ShadingPoints, owner: np.ndarray, samples: int, most: int, roulette: bool, seed: int, threads: int, first: int
-):
-    """Rays from all points -> (emission met (N, 3), diffuse hits, mirrors hit, number of rays)."""
-    shown = np.zeros((len(owner), 3), np.float32)
+    scene: Transport, cache: LightCache, near: float, row: int, points: ShadingPoints, owner: np.ndarray, samples: int, most: int,
+    roulette: bool, seed: int, threads: int, first: int,
+):  # fmt: skip
+    """Rays from all points -> (emission met (N, 3), light of the cache (N, 3), diffuse hits, mirrors hit, number of rays)."""
+    shown, known = np.zeros((2, len(owner), 3), np.float32)
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * most)
         mirror = np.empty((end - begin) * most, np.uint8)
         n, rays = _reflect_chunk(
-            scene, points, owner, begin, end, samples, most, roulette, np.uint32(seed), np.int64(first), shown, room, mirror
-        )
+            scene, cache, np.float32(near), row, points, owner, begin, end, samples, most, roulette, np.uint32(seed), np.int64(first),
+            shown, known, room, mirror,
+        )  # fmt: skip
         mirror = mirror[:n].astype(bool)
         room = room.take(slice(0, n))
         return room.take(~mirror), room.take(mirror), rays
 
     parts = run_chunks(work, len(owner), CHUNK, threads)
     diffuse, mirrors = (ShadingPoints.concatenate([part[k] for part in parts]) for k in (0, 1))
-    return shown, diffuse, mirrors, sum(part[2] for part in parts)
+    return shown, known, diffuse, mirrors, sum(part[2] for part in parts)
 
 
 def has_lobes(points: ShadingPoints) -> bool:
@@ -251,7 +265,7 @@ def reflect(
         samples, reflections, first: as in the call of `lamps.direct_light` that gives the rest of the direct light.
             A point gets up to `reflections` rays, fewer where its lobe is faint beside its diffuse albedo.
         bounces: diffuse bounces of the indirect light (a glossy one counts as none).
-        cache, near: what surfaces farther than `near` (m) from what a ray meets are known to send (see `tails.path_light`).
+        cache, near: what surfaces farther than `near` (m) are known to send, with a row for `bounces` + 1 surfaces.
 
     Returns:
         ((N, 3) direct, (N, 3) indirect radiance, float32 W/m^2/sr, number of rays drawn).
@@ -261,14 +275,17 @@ def reflect(
     """
     n = len(points.position)
     direct, indirect = np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
+    cache = no_cache() if cache is None else cache
     total = 0
     for begin in range(0, n, BLOCK):
         block = slice(begin, min(begin + BLOCK, n))
         part = ShadingPoints(*(a[block] for a in points))
         key = (seed ^ _SEED) + begin & 0xFFFFFFFF
         owner = np.arange(len(part.pixel), dtype=np.int32)
-        shown, diffuse, mirrors, rays = _draw(scene, part, owner, samples, reflections, False, key, threads, first)
-        direct[block] = shown
+        shown, known, diffuse, mirrors, rays = _draw(
+            scene, cache, near, bounces, part, owner, samples, reflections, False, key, threads, first
+        )
+        direct[block], indirect[block] = shown, known
         total += rays
         lit = [diffuse]
         for depth in range(1, MAX_REFLECTIONS):
@@ -276,8 +293,10 @@ def reflect(
                 break
             key = key + 1 & 0xFFFFFFFF
             _, light, rays = direct_light(scene, mirrors, 1, key, threads, reflections=1)
-            shown, diffuse, further, drawn = _draw(scene, mirrors, mirrors.pixel, 1, 1, depth >= _SURE, key, threads, 0)
-            _add(indirect[block], mirrors.pixel, light + shown)
+            shown, known, diffuse, further, drawn = _draw(
+                scene, cache, near, bounces, mirrors, mirrors.pixel, 1, 1, depth >= _SURE, key, threads, 0
+            )
+            _add(indirect[block], mirrors.pixel, light + shown + known)
             lit.append(diffuse)
             mirrors = further
             total += rays + drawn

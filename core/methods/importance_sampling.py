@@ -51,6 +51,7 @@ from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
 from ..vpl_pool import vpl_pool
+from .glossy import has_lobes
 from .instant_radiosity import clamp_of
 from .light_cache import NEAR, LightCache, build_light_cache, find_cell, look_up, seen_light
 from .probes import trace_probes
@@ -338,7 +339,7 @@ class ImportanceSampling:
         self.scene = scene
         paths = max(MIN_PATHS, int(PATHS * len(points.pixel) * (self.samples + self.gather))) if paths is None else paths
         probes, rays = trace_probes(scene, points, paths, self.seed ^ 0x51AB5, self.threads, progress)
-        self.cache: LightCache = build_light_cache(probes, self.bounces, self.seed)
+        self.cache: LightCache = build_light_cache(probes, self.bounces + has_lobes(points), self.seed)
         self.tau = np.float32(max(seen_light(self.cache, probes, self.seed + 1), 1e-30))
         self.near = np.float32(NEAR * self.cache.size)
         return rays
