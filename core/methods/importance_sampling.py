@@ -331,7 +331,6 @@ class ImportanceSampling:
         self.seed = seed
         self.threads = threads
         self.rays = 0
-        self.light_rays = 0
         self.pairs = 0
 
     def cache_light(self, scene: Transport, points: ShadingPoints, progress: Progress | None = None, *, paths: int | None = None) -> int:

@@ -102,7 +102,7 @@ def test_a_render_meets_its_target(sphere):
 
 
 def test_a_budget_makes_further_passes(sphere):
-    result = render(sphere, RenderSettings(vpls=64, time_budget=1.0))
+    result = render(sphere, RenderSettings(vpls=64, time_budget=3.0))
     assert result.stats["passes"] > 1
     assert result.stats["error_estimate"] is None
 
