@@ -38,9 +38,12 @@ class Picture:
 
     @staticmethod
     def compose(
-        seen: View, direct: np.ndarray, indirect: np.ndarray, glossy_direct: np.ndarray, glossy_indirect: np.ndarray, weight: float = 1.0
-    ) -> Picture:
+        seen: View, direct: np.ndarray, indirect: np.ndarray, glossy_direct: np.ndarray, glossy_indirect: np.ndarray,
+        mirrored_albedo: np.ndarray, weight: float = 1.0,
+    ) -> Picture:  # fmt: skip
         """The picture of irradiances and glossy radiances (N, 3) at the shading points.
+
+        mirrored_albedo: (N, 3), of what mirrors show, for the denoiser.
 
         Glass is a bounce, as in Cycles: all light of the surfaces behind it is indirect, and specular, whatever it is to
         them.  What shines behind it is direct light after one surface of glass, indirect light after more.
@@ -49,6 +52,7 @@ class Picture:
         diffuse = points.albedo * np.float32(1 / np.pi)
         first, later = diffuse * direct + glossy_direct, diffuse * indirect
         behind = points.behind_glass[:, None] > 0
+        guide_albedo, guide_normal = denoising_guides(seen)
         return Picture(
             direct=splat(points, first * ~behind, shape) + seen.emission_behind_one,
             diffuse_indirect=splat(points, later * ~behind, shape),
@@ -56,7 +60,8 @@ class Picture:
             albedo=seen.albedo,
             emission=seen.emission,
             normal=seen.normal,
-            **dict(zip(("guide_albedo", "guide_normal"), denoising_guides(seen))),
+            guide_albedo=guide_albedo + splat(points, mirrored_albedo, shape),
+            guide_normal=guide_normal,
             position=seen.position,
             depth=seen.depth,
             weight=weight,

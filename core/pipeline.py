@@ -16,7 +16,7 @@ from .jit import CompileTimer
 from .lamps import build_emitters, direct_irradiance, direct_light, world_tables
 from .layers import Layers
 from .methods.fuzzy_clustering import FuzzyClustering
-from .methods.glossy import has_lobes, reflect
+from .methods.glossy import Reflections, has_lobes, reflect
 from .methods.importance_sampling import ImportanceSampling
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
@@ -159,13 +159,14 @@ def _pass(run: _Run, scene: Scene, tables: Transport, settings: RenderSettings, 
     nothing = np.zeros((len(points.pixel), 3), np.float32)
     behind_glass = bool(points.behind_glass.any())
     sampler = _sampler(run, tables, points, settings, threads)
-    direct = highlights = shown = reflected = nothing
+    direct = highlights = nothing
+    mirrored = Reflections(nothing, nothing, 0, nothing)
     wants = settings.wants
     if wants("Direct", "Combined") or behind_glass:
         with run.stage("direct") as tick:
             direct, highlights = _direct(run, scene, tables, points, settings, threads, tick)
     if wants("Direct", "Combined", "GlossyIndirect", "Indirect"):
-        shown, reflected = _glossy(run, tables, points, settings, threads, sampler)
+        mirrored = _glossy(run, tables, points, settings, threads, sampler)
     indirect = nothing
     if wants("DiffuseIndirect", "Indirect", "Irradiance", "Combined") or (behind_glass and wants("GlossyIndirect")):
         indirect, vpls = _indirect(run, tables, points, settings, threads, sampler)
@@ -174,7 +175,7 @@ def _pass(run: _Run, scene: Scene, tables: Transport, settings: RenderSettings, 
             run.debug = single_lights(tables, vpls, points, seen.shape, threads)
             if run.clusters is not None:
                 run.debug |= run.clusters.debug_layers(points, seen.shape)
-    return Picture.compose(seen, direct, indirect, highlights + shown, reflected, weight)
+    return Picture.compose(seen, direct, indirect, highlights + mirrored.direct, mirrored.indirect, mirrored.albedo, weight)
 
 
 def _method(settings: RenderSettings) -> str:
@@ -221,19 +222,19 @@ def _sampler(run: _Run, tables: Transport, points: ShadingPoints, settings: Rend
 
 def _glossy(
     run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Direct and indirect radiance (N, 3) that rays drawn from the points' lobes find."""
+) -> Reflections:
+    """What rays drawn from the points' lobes find."""
     nothing = np.zeros((len(points.pixel), 3), np.float32)
     if not has_lobes(points) or settings.reflections < 1:
         run.skip("glossy", "no visible surface is glossy" if settings.reflections > 0 else "no reflections asked for")
-        return nothing, nothing
+        return Reflections(nothing, nothing, 0, nothing)
     with run.stage("glossy") as tick:
-        shown, reflected, rays = reflect(
+        found = reflect(
             tables, points, settings.direct_samples, settings.reflections, settings.bounces, settings.seed, threads, tick,
             cache=sampler.cache if sampler else None, near=sampler.near if sampler else np.inf,
         )  # fmt: skip
-        run.rays["reflected"] = run.rays.get("reflected", 0) + rays
-    return shown, reflected
+        run.rays["reflected"] = run.rays.get("reflected", 0) + found.rays
+    return found
 
 
 def _indirect(

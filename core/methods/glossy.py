@@ -8,6 +8,8 @@ anyway, by the cache of light, and mirrors reflect in turn.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ..jit import kernel
@@ -46,6 +48,7 @@ MAX_REFLECTIONS = 32  # from mirror to mirror
 _SURE = 3  # reflections after which chance ends dim paths
 # Rougher surfaces that a reflection shows are lit as diffuse ones are.
 _NARROW = np.float32(0.35)
+_SHARP = np.float32(0.2)  # roughness of what mirrors well enough to show edges
 _SEED = 0x9E3779B9  # sets these rays apart from those of other stages
 _0 = np.float32(0.0)
 _INV_PI = np.float32(1 / np.pi)
@@ -255,10 +258,23 @@ def _add(out: np.ndarray, owner: np.ndarray, radiance: np.ndarray) -> None:
         out[:, c] += np.bincount(owner, radiance[:, c], len(out))
 
 
+class Reflections(NamedTuple):
+    """What rays from the lobes of N points found.
+
+    direct, indirect: (N, 3) float32, radiance, W/m^2/sr.  rays: how many were drawn.  albedo: (N, 3) float32, diffuse
+    albedo of what mirrors show, times their own: it tells a denoiser where the edges in a mirror are.
+    """
+
+    direct: np.ndarray
+    indirect: np.ndarray
+    rays: int
+    albedo: np.ndarray
+
+
 def reflect(
     scene: Transport, points: ShadingPoints, samples: int, reflections: int, bounces: int, seed: int,
     threads: int = 0, progress: Progress | None = None, *, first: int = 0, cache: LightCache | None = None, near: float = np.inf,
-) -> tuple[np.ndarray, np.ndarray, int]:  # fmt: skip
+) -> Reflections:  # fmt: skip
     """What the glossy lobes of shading points show, by rays drawn from the lobes.
 
     Args:
@@ -267,14 +283,12 @@ def reflect(
         bounces: diffuse bounces of the indirect light (a glossy one counts as none).
         cache, near: what surfaces farther than `near` (m) are known to send, with a row for `bounces` + 1 surfaces.
 
-    Returns:
-        ((N, 3) direct, (N, 3) indirect radiance, float32 W/m^2/sr, number of rays drawn).
-
     Raises:
         Cancelled: `progress` returned False.
     """
     n = len(points.position)
-    direct, indirect = np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
+    direct, indirect, albedo = np.zeros((3, n, 3), np.float32)
+    sharp = points.roughness < _SHARP
     cache = no_cache() if cache is None else cache
     total = 0
     for begin in range(0, n, BLOCK):
@@ -302,7 +316,8 @@ def reflect(
             total += rays + drawn
         hits = ShadingPoints.concatenate(lit)
         light = tail_light(scene, hits, bounces + 1, key, threads, cache, near)
-        _add(indirect[block], hits.pixel, light * np.float32(1 / np.pi))
+        _add(indirect[block], hits.pixel, light * _INV_PI)
+        _add(albedo[block], hits.pixel, hits.albedo * sharp[block][hits.pixel, None])
         if progress is not None and not progress(block.stop / n):
             raise Cancelled
-    return direct, indirect, total
+    return Reflections(direct, indirect, total, albedo)

@@ -83,7 +83,7 @@ def points_at(n, roughness, cosine=0.7, f0=0.5, f90=1.0, albedo=0.0, position=(0
 def radiance(scene, points, samples=16, reflections=8, seed=1, threads=0):
     """Mean direct and indirect radiance of equal points, and the standard error of the direct one."""
     _, lit, _ = direct_light(scene.tables, points, samples, seed, threads, reflections=reflections)
-    shown, indirect, _ = reflect(scene.tables, points, samples, reflections, 4, seed, threads)
+    shown, indirect, *_ = reflect(scene.tables, points, samples, reflections, 4, seed, threads)
     both = (lit + shown)[:, 0]
     return *mean_and_error(both), indirect[:, 0].mean(dtype=float)
 
