@@ -17,13 +17,13 @@ from .outputs import OutputError, check_file, check_folder
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 LAST_FRAME = 1_048_574  # Blender's MAXFRAME
-SUITES = ("kernels", "clustering", "fuzzy", "previews")  # of `bench`
+SUITES = ("kernels", "clustering", "fuzzy", "previews", "curves")  # of `bench`
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
 
 
 @dataclass(frozen=True)
-class MethodOption:
-    """An option that belongs to one method: its flag, the field of `RenderSettings`, and argparse's own keywords."""
+class OwnOption:
+    """An option of one method, or of one suite of `bench`: its flag, the field or parameter that it sets, argparse's own keywords."""
 
     flag: str
     field: str
@@ -134,35 +134,35 @@ def _checked(check, text: str) -> Path:
 
 
 # The methods that exist, with the options that only they read.
-METHOD_OPTIONS: dict[str, tuple[MethodOption, ...]] = {
+METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
     "instant-radiosity": (
-        MethodOption(
+        OwnOption(
             "--visibility",
             "visibility",
             {"choices": ("rays", "shadow-maps", "none"), "help": "how a VPL is tested for sight of a point (default: rays)"},
         ),
-        MethodOption(
+        OwnOption(
             "--no-compensation",
             "compensation",
             {"action": "store_const", "const": False, "help": "do not give back the light that the clamped geometry term loses"},
         ),
     ),
     "fuzzy-clustering": (
-        MethodOption("--vpl-clusters", "vpl_clusters", {"type": count, "metavar": "K", "help": "clusters of VPLs (default: 1000)"}),
-        MethodOption(
+        OwnOption("--vpl-clusters", "vpl_clusters", {"type": count, "metavar": "K", "help": "clusters of VPLs (default: 1000)"}),
+        OwnOption(
             "--point-clusters", "point_clusters", {"type": count, "metavar": "K", "help": "clusters of shading points (default: 8000)"}
         ),
-        MethodOption(
+        OwnOption(
             "--fuzziness",
             "fuzziness",
             {"type": count, "metavar": "F", "help": "clusters whose visibility a point blends, 1 for its own alone (default: 6)"},
         ),
-        MethodOption(
+        OwnOption(
             "--weighting",
             "weighting",
             {"choices": ("smooth", "distance", "plain"), "help": "of the blended clusters: by distance or all alike (default: smooth)"},
         ),
-        MethodOption(
+        OwnOption(
             "--shade-with",
             "shade_with",
             {
@@ -172,8 +172,31 @@ METHOD_OPTIONS: dict[str, tuple[MethodOption, ...]] = {
         ),
     ),
     "importance-sampling": (
-        MethodOption("--samples", "samples", {"type": count, "metavar": "N", "help": "shadow rays a shading point (default: 8)"}),
-        MethodOption("--gather", "gather", {"type": count, "metavar": "N", "help": "gather rays a shading point (default: 8)"}),
+        OwnOption("--samples", "samples", {"type": count, "metavar": "N", "help": "shadow rays a shading point (default: 8)"}),
+        OwnOption("--gather", "gather", {"type": count, "metavar": "N", "help": "gather rays a shading point (default: 8)"}),
+    ),
+}
+
+# The suites of `bench` that have options.
+SUITE_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
+    "curves": (
+        OwnOption(
+            "--scenes",
+            "scenes",
+            {
+                "nargs": "+",
+                "metavar": "SCENE",
+                "help": "(default: atrium, corridor, cathedral, cornell, and the shared scenes that are there)",
+            },
+        ),
+        OwnOption("--size", "size", {"type": resolution, "metavar": "WxH", "help": "pixels of the pictures (default: 480x270)"}),
+        OwnOption(
+            "--spp",
+            "spp",
+            {"type": count, "nargs": "+", "metavar": "N", "help": "samples a pixel of Cycles (default: 4 16 64); 16 is always among them"},
+        ),
+        OwnOption("--reference-samples", "reference_samples", {"type": count, "metavar": "N", "help": "of each half (default: 256)"}),
+        OwnOption("--repeats", "repeats", {"type": count, "metavar": "N", "help": "runs of each setting, each with its seed (default: 3)"}),
     ),
 }
 
@@ -229,6 +252,8 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     bench = commands.add_parser("bench", help="speed of the parts, measured on this machine")
     bench.add_argument("suite", nargs="?", default=SUITES[0], choices=SUITES, metavar="SUITE", help="%(choices)s (default: %(default)s)")
     bench.add_argument("-o", "--output", type=output_folder, required=True, metavar="DIR", help="where results.json goes")
+    for suite, options in SUITE_OPTIONS.items():
+        _add_own(bench, suite, options)
     return parser
 
 
@@ -272,9 +297,14 @@ def _add_render_settings(parser: Parser) -> None:
     budget.add_argument("--target-error", type=positive, metavar="E", **keep, help="stop at this relMSE")
     add("--debug-layers", action="store_true", **keep, help="also write clusters, gates and the light of single VPLs")
     for method, options in METHOD_OPTIONS.items():
-        group = parser.add_argument_group(f"--method {method}")
-        for option in options:
-            group.add_argument(option.flag, dest=option.field, **keep, **option.keywords)
+        _add_own(parser, f"--method {method}", options)
+
+
+def _add_own(parser: Parser, owner: str, options: tuple[OwnOption, ...]) -> None:
+    """A group of options that stay out of the namespace where they are not given."""
+    group = parser.add_argument_group(owner)
+    for option in options:
+        group.add_argument(option.flag, dest=option.field, default=argparse.SUPPRESS, **option.keywords)
 
 
 def _render_settings(parser: Parser, given: dict) -> RenderSettings:
@@ -294,8 +324,17 @@ def _render_settings(parser: Parser, given: dict) -> RenderSettings:
     return settings
 
 
+def _suite_options(parser: Parser, given: dict) -> dict:
+    """What the user gave of the suite's own options; one of another suite is an error."""
+    for suite, options in SUITE_OPTIONS.items():
+        for option in options:
+            if option.field in given and suite != given["suite"]:
+                parser.error(f"{option.flag} belongs to bench {suite}, not to bench {given['suite']}")
+    return {option.field: given[option.field] for option in SUITE_OPTIONS.get(given["suite"], ()) if option.field in given}
+
+
 def parse(argv: list[str] | None = None, *, in_blender: bool = False) -> argparse.Namespace:
-    """Parse the command line into `command`, that command's arguments and, for `render`, its `settings`.
+    """Parse the command line into `command`, that command's arguments and, for `render`, its `settings`, for `bench` the suite's `options`.
 
     argv: None takes the process's own.  in_blender: Blender runs this, so that its own arguments come first, up to `--`,
     and SCENE may be left out.  Raises SystemExit, with the line printed, where the arguments are wrong.
@@ -307,4 +346,6 @@ def parse(argv: list[str] | None = None, *, in_blender: bool = False) -> argpars
     arguments = parser.parse_args(argv)
     if arguments.command == "render":
         arguments.settings = _render_settings(parser, vars(arguments))
+    if arguments.command == "bench":
+        arguments.options = _suite_options(parser, vars(arguments))
     return arguments

@@ -8,13 +8,11 @@ points.  Times are CPU time of all threads, so that a busy machine does not bend
 
 from __future__ import annotations
 
-import os
 import statistics
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -29,7 +27,7 @@ from ..core.transport import Transport, transport
 from ..core.view.points import ShadingPoints
 from ..core.view.primary import view
 from ..core.vpl_pool import vpl_pool
-from .sources import extract, open_source
+from .sources import extract, find_scene, open_source
 
 SIZE = (800, 800)
 VPLS = 8192
@@ -100,15 +98,6 @@ def fuzzy_rows(
         with lit_view(extract(open_source(source), camera=None, size=size, frame=None), vpls) as lit:
             rows += _rows_of(configuration, lit, repeats, clusters, fuzziness)
     return rows
-
-
-def find_scene(source: str) -> str | None:
-    """The path of a scene under LUMIGATE_SCENES or beside this clone, or the name of a sample scene; None where there is none."""
-    if not source.endswith(".blend"):
-        return source
-    folder = os.environ.get("LUMIGATE_SCENES")
-    path = (Path(folder) if folder else Path(__file__).parents[2] / "shared" / "scenes") / source
-    return str(path) if path.is_file() else None
 
 
 @contextmanager

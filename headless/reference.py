@@ -148,7 +148,7 @@ def render_layers(
         layers.offset, layers.full_size = border[:2], (width, height)
     if settings.denoise:
         denoiser = denoiser or Denoiser()
-        _denoise(layers, settings, threads, denoiser, seconds)
+        seconds |= denoise_layers(layers, settings, denoiser, threads=threads)
         warnings += [denoiser.warning] if denoiser.warning else []
     layers.metadata = {
         "method": "cycles",
@@ -369,9 +369,9 @@ def _layers(passes: Layers) -> Layers:
     return layers
 
 
-def _denoise(layers: Layers, settings: ReferenceSettings, threads: int, denoiser: Denoiser, seconds: dict) -> None:
-    """Denoise the light layers in place, rebuild those that depend on them, and note the seconds."""
-    start = time.perf_counter()
+def denoise_layers(layers: Layers, settings: ReferenceSettings, denoiser: Denoiser, *, threads: int = 0) -> dict:
+    """Denoise the light layers of `settings` in place, rebuild those that depend on them, and return the seconds."""
+    start, seconds = time.perf_counter(), {}
     albedo, normal = layers["Albedo"], layers["Normal"]
     if settings.prefilter:
         albedo, normal = denoiser.prefilter(albedo, normal, threads=threads)
@@ -385,4 +385,4 @@ def _denoise(layers: Layers, settings: ReferenceSettings, threads: int, denoiser
     layers["Indirect"] = diffuse + layers["GlossyIndirect"]
     layers["Combined"] = layers["Direct"] + layers["Indirect"] + layers["Emission"]
     layers["Irradiance"] = np.float32(np.pi) * np.divide(diffuse, color, out=np.zeros_like(diffuse), where=color > 0)
-    seconds["denoise"] = time.perf_counter() - start
+    return seconds | {"denoise": time.perf_counter() - start}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import bpy
@@ -30,6 +31,19 @@ def open_source(source: str | None, *, detail: str = "full") -> bpy.types.Scene:
         if source in sample_scenes.NAMES:
             return sample_scenes.build(source, detail=detail)
         return open_scene(Path(source))
+
+
+def find_scene(source: str) -> str | None:
+    """What `open_source` opens: a sample scene's name, a file, or the path of a benchmark's scene; None where there is none.
+
+    source: of a benchmark's scene, the file or its folder, under LUMIGATE_SCENES or in shared/scenes beside this clone.
+    """
+    if source in sample_scenes.NAMES:
+        return source
+    folder = os.environ.get("LUMIGATE_SCENES")
+    shared = Path(folder) if folder else Path(__file__).parents[2] / "shared" / "scenes"
+    paths = Path(source), shared / source, shared / source / "scene.blend"
+    return next((str(path) for path in paths if path.is_file()), None)
 
 
 def extract(scene: bpy.types.Scene, *, camera: str | None, size: tuple[int, int] | None, frame: int | None) -> Scene:

@@ -1,4 +1,4 @@
-"""`lumigate bench`: speed of the parts, measured on this machine."""
+"""`lumigate bench`: speed of the parts, and time against error, measured on this machine."""
 
 from __future__ import annotations
 
@@ -13,29 +13,52 @@ from ... import __version__
 from ...core.threads import thread_count
 from ..clustering_bench import clustering_rows
 from ..console import Terminal
+from ..curves_bench import METRICS, OPPOSITE, curves_rows
 from ..fuzzy_bench import fuzzy_rows
 from ..kernel_bench import ray_rows
 from ..preview_bench import preview_rows
 from ..results import write_json
 
 # Keys as in `arguments.SUITES`.
-ROWS = {"kernels": ray_rows, "clustering": clustering_rows, "fuzzy": fuzzy_rows, "previews": preview_rows}
+ROWS = {"kernels": ray_rows, "clustering": clustering_rows, "fuzzy": fuzzy_rows, "previews": preview_rows, "curves": curves_rows}
+PICTURED = ("curves",)  # suites that leave pictures in DIR, too
 PACKAGES = ("bpy", "numpy", "numba", "llvmlite", "scipy", "embreex", "OpenImageIO")
 
 
 def run(arguments: Namespace, terminal: Terminal) -> None:
     """Run one suite, print its rows and write DIR/results.json."""
     with terminal.waiting(f"bench {arguments.suite}"):
-        rows = ROWS[arguments.suite]()
+        folder = {"folder": arguments.output} if arguments.suite in PICTURED else {}
+        rows = ROWS[arguments.suite](**folder, **arguments.options)
     arguments.output.mkdir(parents=True, exist_ok=True)
     write_json(arguments.output / "results.json", {"machine": machine(), "versions": versions(), "rows": rows})
-    table = Table(title=arguments.suite, title_justify="left")
-    for heading, justify in (("case", "left"), ("value", "right"), ("unit", "left"), ("peer", "right"), ("ratio", "right")):
-        table.add_column(heading, justify=justify)
+    for suite in dict.fromkeys(row["suite"] for row in rows):
+        terminal.out.print(_table(suite, [row for row in rows if row["suite"] == suite]))
+
+
+def _table(suite: str, rows: list[dict]) -> Table:
+    """Rows of one suite: cases and values, or the points of curves of time against error."""
+    headings = (
+        ("case", "value", "unit", "peer", "ratio") if "case" in rows[0] else ("scene", "layer", "method", "setting", "seconds", *METRICS)
+    )
+    table = Table(title=suite, title_justify="left")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading in ("case", "unit", "scene", "layer", "method", "setting") else "right")
     for row in rows:
-        peer = [f"{row[name]:.4g}" if name in row else "" for name in ("peer_value", "ratio")]
-        table.add_row(escape(row["case"]), f"{row['value']:.4g}", row["unit"], *peer)
-    terminal.out.print(table)
+        table.add_row(*(_case(row) if "case" in row else (escape(_figure(row[name])) for name in headings)))
+    return table
+
+
+def _case(row: dict) -> tuple[str, ...]:
+    """Cells of a row with a value; what is more or less than the value's figure makes the ratio less or more."""
+    bound = row.get("bound", "")
+    bounds = {"value": bound, "peer_value": "", "ratio": OPPOSITE.get(bound, bound)}
+    value, peer, ratio = (f"{bounds[name]} {_figure(row[name])}".strip() if name in row else "" for name in bounds)
+    return escape(row["case"]), value, row["unit"], peer, ratio
+
+
+def _figure(value) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)
 
 
 def machine() -> dict:

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lumigate.headless.fuzzy_bench import CONFIGURATIONS, border_energy, brute_force, displayed, find_scene, fuzzy_rows, lit_view, mse
-from lumigate.headless.sources import extract, open_source
+from lumigate.headless.fuzzy_bench import CONFIGURATIONS, border_energy, brute_force, displayed, fuzzy_rows, lit_view, mse
+from lumigate.headless.sources import extract, find_scene, open_source
 
 CORNELL = replace(CONFIGURATIONS[0], vpl_clusters=50, point_clusters=30)
 
