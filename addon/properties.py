@@ -17,13 +17,13 @@ class LumigateSettings(bpy.types.PropertyGroup):
         name="Bounces", description="Diffuse bounces of the indirect light", default=_DEFAULT.bounces, min=0, soft_max=32
     )
     pixel_samples: bpy.props.IntProperty(
-        name="Pixel Samples", description="Primary samples of a pixel; 0: as many as the method needs", default=0, min=0, soft_max=64
+        name="Pixel Samples", description="Primary samples of a pixel", default=_DEFAULT.pixel_samples, min=1, soft_max=64
     )
     seed: bpy.props.IntProperty(name="Seed", description="Seed of all random sequences", default=_DEFAULT.seed, min=0)
 
     def as_settings(self) -> RenderSettings:
         """The request that these properties make."""
-        return RenderSettings(vpls=self.vpls, bounces=self.bounces, pixel_samples=self.pixel_samples or None, seed=self.seed)
+        return RenderSettings(vpls=self.vpls, bounces=self.bounces, pixel_samples=self.pixel_samples, seed=self.seed)
 
 
 CLASSES = (LumigateSettings,)

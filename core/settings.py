@@ -21,7 +21,8 @@ class RenderSettings:
     vpls: virtual point lights that the view uses.  bounces: diffuse bounces of the indirect light.
     pixel_samples: primary samples a pixel.  direct_samples: shadow rays a shading point for `Direct`.
     reflections: most rays drawn from the glossy lobe of a shading point.
-    pixel_samples, direct_samples, reflections, denoise: None lets the method choose (see `with_defaults`).  time_budget: seconds; target_error: relMSE.
+    direct_samples, reflections, denoise: None lets the method choose (see `with_defaults`).  time_budget: seconds;
+    target_error: relMSE.
     layers: names of the layers wanted (None: all of the contract).
     """
 
@@ -30,7 +31,7 @@ class RenderSettings:
     bounces: int = 4
     seed: int = 0
     threads: int = 0
-    pixel_samples: int | None = None
+    pixel_samples: int = 16
     direct_samples: int | None = None
     reflections: int | None = None
     denoise: bool | None = None
@@ -61,7 +62,7 @@ class RenderSettings:
         method = "importance-sampling" if self.method == "auto" else self.method
         sampled = method == "importance-sampling"
         denoise = sampled if self.denoise is None else self.denoise
-        choice = {"pixel_samples": (8, 16), "direct_samples": (4, 16), "reflections": (2, 8)}
+        choice = {"direct_samples": (4, 16), "reflections": (2, 8)}
         open_ = {name: few if sampled else many for name, (few, many) in choice.items() if getattr(self, name) is None}
         return replace(self, method=method, denoise=denoise, **open_)
 

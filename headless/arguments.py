@@ -290,7 +290,7 @@ def _add_render_settings(parser: Parser) -> None:
     add("--bounces", type=size_or_none, metavar="B", **keep, help=f"diffuse bounces of the indirect light (default: {default.bounces})")
     add("--seed", type=size_or_none, metavar="S", **keep, help=f"random seed (default: {default.seed})")
     add("--threads", type=size_or_none, metavar="T", **keep, help="threads (default: all cores)")
-    add("--pixel-samples", type=count, metavar="P", **keep, help="primary samples a pixel (default: as the method needs)")
+    add("--pixel-samples", type=count, metavar="P", **keep, help=f"primary samples a pixel (default: {default.pixel_samples})")
     add("--denoise", action=argparse.BooleanOptionalAction, **keep, help="denoise the light (default: as the method needs)")
     budget = parser.add_mutually_exclusive_group()
     budget.add_argument("--time-budget", type=positive, metavar="SECONDS", **keep, help="use as many samples as fit in this time")
