@@ -18,6 +18,7 @@ import numpy as np
 from ..jit import inlined, kernel, leaf
 from ..sampling.hashing import uniform
 from ..sampling.maps import orthonormal_basis
+from ..threads import run_chunks
 
 DEPTH = 2  # probes a path: seen from the visible points, and from there
 PROBES_A_CELL = 2  # of the finest cells, on average
@@ -31,6 +32,7 @@ MOST_BALANCE = np.float32(1.5)
 GUIDES = 4  # every so-manyth path tells how bright cells are
 GUIDE_PRIOR = 4.0
 MOST_TURNS = 8  # of glossy reflections in the cache
+CHUNK = 16384  # probes a chunk
 MISSED, DIFFUSE_LINK, GLOSSY_LINK = 0, 1, 2
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -202,9 +204,9 @@ def _count_cells(probes, origin, size, seed, keys, slot):
 
 
 @kernel
-def _links(probes, cache, seed, link_cell):
-    """Cell of each probe's link: -1 none known, -2 the ray met nothing."""
-    for p in range(len(probes.valid)):
+def _links(probes, cache, begin, end, seed, link_cell):
+    """Cell of the links of the probes begin..end-1: -1 none known, -2 the ray met nothing."""
+    for p in range(begin, end):
         link_cell[p] = -2
         if not probes.valid[p] or probes.link[p] == MISSED:
             continue
@@ -356,7 +358,7 @@ def cell_size(probes: Probes, origin: np.ndarray, extent: float, seed: int) -> f
     return max(size, smallest)
 
 
-def build_light_cache(probes: Probes, bounces: int, seed: int) -> LightCache:
+def build_light_cache(probes: Probes, bounces: int, seed: int, threads: int = 0) -> LightCache:
     """Cells that hold what the probes know of light that left 1 to `bounces` surfaces."""
     n = int(probes.valid.sum())
     known = probes.position[probes.valid > 0] if n else np.zeros((1, 3), np.float32)
@@ -364,19 +366,22 @@ def build_light_cache(probes: Probes, bounces: int, seed: int) -> LightCache:
     extent = float(max((high - low).max(), 1e-6 * np.abs(known).max(), 1e-9))
     origin = (low - extent).astype(np.float32)
     size = np.float32(cell_size(probes, origin, extent, seed))
-    room = max(64, n * LEVELS)
-    bits = max(10, int(np.ceil(np.log2(2 * room + 2))))
-    keys, slot = np.zeros(1 << bits, np.uint64), np.full(1 << bits, -1, np.int32)
     cells = np.zeros((len(probes.valid), LEVELS), np.int32)
-    level_of, centre = np.empty(room, np.uint8), np.empty((room, 6), np.float32)
-    count = _insert(probes, origin, size, np.uint32(seed), keys, slot, cells, level_of, centre)
+    # Rarely more cells than probes; a table that is no larger than it must be stays in the processor's caches.
+    room, count = max(64, n), -1
+    while count < 0:
+        bits = max(10, int(np.ceil(np.log2(2 * room + 2))))
+        keys, slot = np.zeros(1 << bits, np.uint64), np.full(1 << bits, -1, np.int32)
+        level_of, centre = np.empty(room, np.uint8), np.empty((room, 6), np.float32)
+        count = _insert(probes, origin, size, np.uint32(seed), keys, slot, cells, level_of, centre)
+        room *= 2
     level_of, centre = level_of[:count].copy(), centre[:count].copy()
     radiosity = np.zeros((bounces, count, 3), np.float32)
     cache = LightCache(origin, size, keys, slot, radiosity, np.zeros(count, np.float32))
     parent = _parents(cache, level_of, centre)
     link_cell = np.empty(len(probes.valid), np.int64)
-    _links(probes, cache, np.uint32(seed), link_cell)
-    seen_cell = look_up(cache, probes.position, probes.normal, seed + 3)
+    run_chunks(lambda begin, end: _links(probes, cache, begin, end, np.uint32(seed), link_cell), len(link_cell), CHUNK, threads)
+    seen_cell = look_up(cache, probes.position, probes.normal, seed + 3, threads)
     root = np.arange(count)
     for _ in range(LEVELS - 1):
         root = np.where(parent[root] >= 0, parent[root], root)
@@ -408,18 +413,18 @@ def _parents(cache, level_of, centre):
 
 
 @kernel
-def _look_up(cache, position, normal, seed, cell):
-    for i in range(len(position)):
+def _look_up(cache, position, normal, begin, end, seed, cell):
+    for i in range(begin, end):
         cell[i] = find_cell(
             cache, position[i, 0], position[i, 1], position[i, 2], normal[i, 0], normal[i, 1], normal[i, 2],
             uniform(seed, i, 2, 0), uniform(seed, i, 2, 1),
         )  # fmt: skip
 
 
-def look_up(cache: LightCache, position: np.ndarray, normal: np.ndarray, seed: int) -> np.ndarray:
+def look_up(cache: LightCache, position: np.ndarray, normal: np.ndarray, seed: int, threads: int = 0) -> np.ndarray:
     """Cells (N,) int64 of places (N, 3) with geometric normals (N, 3), -1 where none knows them."""
     cell = np.empty(len(position), np.int64)
-    _look_up(cache, position, normal, np.uint32(seed), cell)
+    run_chunks(lambda begin, end: _look_up(cache, position, normal, begin, end, np.uint32(seed), cell), len(position), CHUNK, threads)
     return cell
 
 
