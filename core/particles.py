@@ -33,7 +33,7 @@ from .sampling.sequences import sobol
 from .scene import DIFFUSE, GLOSSY_LOBE, SHADOW, TRANSPARENT
 from .surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo_average, glossy_albedo, passing_chance
 from .surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
-from .surfaces.normals import shading_normal
+from .surfaces.normals import shading_normal, surface_side
 from .surfaces.program import MEAN_VIEW, evaluate, new_registers
 from .threads import Progress, run_chunks
 from .transport import Transport
@@ -54,6 +54,7 @@ class Vpls(NamedTuple):
     geometric normal in any case.  flux: (M, 3) float32, W leaving (what
     the surface itself hides of a glossy reflection included); the irradiance at a point x is flux / pi * cos cos' / r^2.
     emitter: (M,) int32, where the light came from.  bounce: (M,) int32, 1 for light that left one surface.
+    side: (M,) int32, of the surface, as `surface_side` has it.
     """
 
     position: np.ndarray
@@ -63,12 +64,13 @@ class Vpls(NamedTuple):
     flux: np.ndarray
     emitter: np.ndarray
     bounce: np.ndarray
+    side: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> Vpls:
         """Room for n lights, not set."""
         f, e = np.float32, np.empty
-        return Vpls(e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32))
+        return Vpls(e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32), e(n, np.int32))
 
     def take(self, index) -> Vpls:
         """The lights at `index` (anything that indexes an array)."""
@@ -201,7 +203,8 @@ def _trace_particles(scene, begin, end, survivors, bounces, seed, vpls):
                         continue
                     sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                     cos_g = gx * dx + gy * dy + gz * dz
-                    if cos_g > 0:
+                    behind = cos_g > 0
+                    if behind:
                         gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
                         cos_g = -cos_g
                     cos_s = sx * dx + sy * dy + sz * dz
@@ -249,6 +252,7 @@ def _trace_particles(scene, begin, end, survivors, bounces, seed, vpls):
                     vpls.error[n] = error
                     vpls.emitter[n] = emitter[lane]
                     vpls.bounce[n] = bounce + 1
+                    vpls.side[n] = surface_side(scene.material[triangle], behind)
                     n += 1
                     if bounce + 1 < len(survivors) and i < survivors[bounce + 1]:
                         more = np.float32(survivors[bounce] / survivors[bounce + 1])

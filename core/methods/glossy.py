@@ -33,7 +33,7 @@ from ..surfaces.layout import (
     glossy_albedo,
 )
 from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, reflection_count, sample_lobe
-from ..surfaces.normals import shading_normal
+from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import evaluate, new_registers, reflected_view
 from ..surfaces.visibility import nearest_surface
 from ..threads import Cancelled, Progress, run_chunks
@@ -185,7 +185,9 @@ def _reflect_chunk(
                 shown[i, 1] += share * wg * surface[EMISSION + 1]
                 shown[i, 2] += share * wb * surface[EMISSION + 2]
             if t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
-                cell = find_cell(cache, px, py, pz, hx, hy, hz, uniform(key, index, 1, 2), uniform(key, index, 1, 3))
+                cell = find_cell(
+                    cache, px, py, pz, hx, hy, hz, surface_side(material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
+                )
                 if cell >= 0:
                     known[i, 0] += wr * _INV_PI * cache.radiosity[row, cell, 0]
                     known[i, 1] += wg * _INV_PI * cache.radiosity[row, cell, 1]

@@ -44,7 +44,7 @@ from ..sampling.sequences import r2
 from ..scene import DIFFUSE, TRANSPARENT
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import LOBE
-from ..surfaces.normals import shading_normal
+from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..surfaces.visibility import nearest_surface, transmittance1
 from ..threads import Progress, run_chunks
@@ -154,7 +154,9 @@ def _gather_leaf(
                 behind = cos_y < 0
                 if behind:
                     gx, gy, gz, cos_y = -gx, -gy, -gz, -cos_y
-                cell = find_cell(cache, x, y, z, gx, gy, gz, uniform(seed, path, 3, 0), uniform(seed, path, 3, 1))
+                cell = find_cell(
+                    cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
+                )  # fmt: skip
                 if cell >= 0:
                     bright = cache.bright[cell]
                     if bright > 0:
@@ -345,7 +347,7 @@ class ImportanceSampling:
 
     def shares(self, vpls: Vpls) -> np.ndarray:
         """Part of each VPL's light that is the virtual lights' to carry where G is below the clamp, (M,) float32."""
-        cell = look_up(self.cache, vpls.position, vpls.surface_normal, self.seed + 2)
+        cell = look_up(self.cache, vpls.position, vpls.surface_normal, vpls.side, self.seed + 2)
         bright = (
             np.where(cell >= 0, self.cache.bright[np.maximum(cell, 0)], np.float32(0)) if len(self.cache.bright) else np.zeros(len(cell))
         )

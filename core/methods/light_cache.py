@@ -37,6 +37,7 @@ MISSED, DIFFUSE_LINK, GLOSSY_LINK = 0, 1, 2
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _HALF = np.float32(0.5)
+_MANY = np.float32(1.5)
 
 
 class Probes(NamedTuple):
@@ -46,7 +47,7 @@ class Probes(NamedTuple):
     direct: (N, 3) float32, pi times the radiance towards the path by direct light, one sample (W/m^2).
     carry: (N, 3) float32, the same for each unit that the linked surface sends.
     link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
-    reflection, 2 by a glossy one.
+    reflection, 2 by a glossy one.  side, link_side: (N,) int32, as `surface_side` has them.
     distance: (N,) float32, from where the path came (m).  valid: (N,) uint8, whether the path came so far.
     """
 
@@ -57,6 +58,8 @@ class Probes(NamedTuple):
     link_position: np.ndarray
     link_normal: np.ndarray
     link: np.ndarray
+    side: np.ndarray
+    link_side: np.ndarray
     distance: np.ndarray
     valid: np.ndarray
 
@@ -64,7 +67,8 @@ class Probes(NamedTuple):
     def allocate(n: int) -> Probes:
         """Room for n probes, none of them valid."""
         rows = [np.zeros((n, 3), np.float32) for _ in range(6)]
-        return Probes(*rows, np.zeros(n, np.uint8), np.zeros(n, np.float32), np.zeros(n, np.uint8))
+        sides = [np.zeros(n, np.int32) for _ in range(2)]
+        return Probes(*rows, np.zeros(n, np.uint8), *sides, np.zeros(n, np.float32), np.zeros(n, np.uint8))
 
 
 class LightCache(NamedTuple):
@@ -92,20 +96,21 @@ def no_cache() -> LightCache:
 
 
 @inlined
-def _key(origin, size, level, x, y, z, nx, ny, nz):
-    """The cell of a place and a normal at a level, as one integer."""
+def _key(origin, size, level, x, y, z, nx, ny, nz, side):
+    """The cell of a place on a side of a material, with a normal, at a level: one integer."""
     mask = np.int64(0x1FFFF)
-    side = size
+    edge = size
     for _ in range(level):
-        side *= np.float32(GROWTH)
-    ix = np.int64(math.floor((x - origin[0]) / side)) & mask
-    iy = np.int64(math.floor((y - origin[1]) / side)) & mask
-    iz = np.int64(math.floor((z - origin[2]) / side)) & mask
+        edge *= np.float32(GROWTH)
+    ix = np.int64(math.floor((x - origin[0]) / edge)) & mask
+    iy = np.int64(math.floor((y - origin[1]) / edge)) & mask
+    iz = np.int64(math.floor((z - origin[2]) / edge)) & mask
     # Rounded halves: normals along the axes, the most common ones, lie in the middle of their bins.
     ax = np.int64(math.floor(nx * np.float32(2.0) + np.float32(2.5)))
     ay = np.int64(math.floor(ny * np.float32(2.0) + np.float32(2.5)))
     az = np.int64(math.floor(nz * np.float32(2.0) + np.float32(2.5)))
-    return np.uint64(((((ix << 17 | iy) << 17 | iz) << 8) + (ax * 25 + ay * 5 + az)) << 2 | np.int64(level))
+    place = np.uint64(((((ix << 17 | iy) << 17 | iz) << 8) + (ax * 25 + ay * 5 + az)) << 2 | np.int64(level))
+    return place ^ (np.uint64(side) * np.uint64(0xD1B54A32D192ED03))
 
 
 @inlined
@@ -138,24 +143,24 @@ def _displaced(size, level, x, y, z, nx, ny, nz, u1, u2):
 
 
 @leaf
-def find_cell(cache, x, y, z, nx, ny, nz, u1, u2):
+def find_cell(cache, x, y, z, nx, ny, nz, side, u1, u2):
     """The finest cell that knows the surface at a place with geometric normal n, -1 where none does.
 
-    u1, u2: uniform in [0, 1), the displacement.
+    side: as `surface_side` has it.  u1, u2: uniform in [0, 1), the displacement.
     """
     for level in range(LEVELS):
         px, py, pz = _displaced(cache.size, level, x, y, z, nx, ny, nz, u1, u2)
-        cell = _find(cache.keys, cache.slot, _key(cache.origin, cache.size, level, px, py, pz, nx, ny, nz))
+        cell = _find(cache.keys, cache.slot, _key(cache.origin, cache.size, level, px, py, pz, nx, ny, nz, side))
         if cell >= 0:
             return cell
     return np.int64(-1)
 
 
 @kernel
-def _insert(probes, origin, size, seed, keys, slot, cells, level_of, centre):
+def _insert(probes, origin, size, seed, keys, slot, cells, level_of, centre, side_of):
     """Hash all probes at all levels: `cells` (N, LEVELS) int32; the number of cells, or -1 where the table is too small.
 
-    level_of (C,) uint8, centre (C, 6) float32: level, middle and normal of each new cell.
+    level_of (C,) uint8, centre (C, 6) float32, side_of (C,) int32: level, middle and normal, side of each new cell.
     """
     n = 0
     for p in range(len(probes.valid)):
@@ -165,7 +170,7 @@ def _insert(probes, origin, size, seed, keys, slot, cells, level_of, centre):
         u1, u2 = uniform(seed, p, 0, 0), uniform(seed, p, 0, 1)
         for level in range(LEVELS):
             x, y, z = _displaced(size, level, probes.position[p, 0], probes.position[p, 1], probes.position[p, 2], nx, ny, nz, u1, u2)
-            key = _key(origin, size, level, x, y, z, nx, ny, nz)
+            key = _key(origin, size, level, x, y, z, nx, ny, nz, probes.side[p])
             at = _home(key, len(keys))
             while slot[at] >= 0 and keys[at] != key:
                 at = (at + 1) & (len(keys) - 1)
@@ -176,6 +181,7 @@ def _insert(probes, origin, size, seed, keys, slot, cells, level_of, centre):
                 level_of[n] = level
                 centre[n, 0], centre[n, 1], centre[n, 2] = x, y, z
                 centre[n, 3], centre[n, 4], centre[n, 5] = nx, ny, nz
+                side_of[n] = probes.side[p]
                 n += 1
             cells[p, level] = slot[at]
     return n
@@ -193,7 +199,7 @@ def _count_cells(probes, origin, size, seed, keys, slot):
             size, 0, probes.position[p, 0], probes.position[p, 1], probes.position[p, 2], nx, ny, nz,
             uniform(seed, p, 0, 0), uniform(seed, p, 0, 1),
         )  # fmt: skip
-        key = _key(origin, size, 0, x, y, z, nx, ny, nz)
+        key = _key(origin, size, 0, x, y, z, nx, ny, nz, probes.side[p])
         at = _home(key, len(keys))
         while slot[at] >= 0 and keys[at] != key:
             at = (at + 1) & (len(keys) - 1)
@@ -212,12 +218,15 @@ def _links(probes, cache, begin, end, seed, link_cell):
             continue
         link_cell[p] = find_cell(
             cache, probes.link_position[p, 0], probes.link_position[p, 1], probes.link_position[p, 2],
-            probes.link_normal[p, 0], probes.link_normal[p, 1], probes.link_normal[p, 2], uniform(seed, p, 1, 0), uniform(seed, p, 1, 1),
+            probes.link_normal[p, 0], probes.link_normal[p, 1], probes.link_normal[p, 2], probes.link_side[p],
+            uniform(seed, p, 1, 0), uniform(seed, p, 1, 1),
         )  # fmt: skip
 
 
 @kernel
-def _solve(probes, cells, link_cell, seen_cell, parent, root, level_of, prior, near, turns, radiosity, direct, total, linked, number, sums):
+def _solve(
+    probes, cells, link_cell, seen_cell, parent, root, level_of, prior, near, turns, radiosity, direct, total, linked, number, unit, likeness, sums
+):  # fmt: skip
     """Radiosity (B, C, 3) of all cells after each bounce, by the links of their probes; the other arrays are scratch.
 
     turns: rounds for each bounce, as many as glossy reflections follow one another.  seen_cell: (N,) the cell that a lookup
@@ -225,6 +234,7 @@ def _solve(probes, cells, link_cell, seen_cell, parent, root, level_of, prior, n
     """
     number[:] = _0
     linked[:] = _0
+    unit[:] = _0
     direct[:] = _0
     for p in range(len(probes.valid)):
         if not probes.valid[p] or _guides(p):
@@ -233,11 +243,16 @@ def _solve(probes, cells, link_cell, seen_cell, parent, root, level_of, prior, n
         for level in range(LEVELS):
             c = cells[p, level]
             number[c] += weight
+            unit[c] += weight * weight
             if link_cell[p] != -1:
                 linked[c] += weight
             for k in range(3):
                 direct[c, k] += weight * probes.direct[p, k]
-    _smooth(direct, number, parent, level_of, prior)
+    for c in range(len(number)):
+        unit[c] = unit[c] / number[c] if number[c] > _0 else _1
+    _compare(probes, cells, parent, number, near, direct, prior, sums, likeness)
+    _smooth(direct, number, unit, parent, level_of, likeness)
+    likeness[:] = prior
     # Glossy links take no bounce: what they carry is found turn by turn.
     for turn in range(turns * len(radiosity)):
         bounce = turn // turns
@@ -253,7 +268,7 @@ def _solve(probes, cells, link_cell, seen_cell, parent, root, level_of, prior, n
                 light = weight * probes.carry[p, k] * radiosity[row, link_cell[p], k]
                 for level in range(LEVELS):
                     total[cells[p, level], k] += light
-        _smooth(total, linked, parent, level_of, prior)
+        _smooth(total, linked, unit, parent, level_of, likeness)
         radiosity[bounce] = direct + total
         _balance(probes, link_cell, seen_cell, root, near, bounce, radiosity, sums)
 
@@ -292,14 +307,63 @@ def _balance(probes, link_cell, seen_cell, root, near, bounce, radiosity, sums):
 
 
 @kernel
-def _smooth(values, number, parent, level_of, prior):
-    """Turns the sums (C, 3) of cells into means; a coarser cell stands in for what a finer one has not seen."""
+def _compare(probes, cells, parent, number, near, direct, most, sums, likeness):
+    """As how many probes of each cell the coarser one around it counts (C,), `most` at most: by how alike its cells are.
+
+    That is the variance within cells over the variance between them (the linear empirical Bayes estimator): where a patch
+    of sun lies beside the dark, its cells tell little of each other.  The mean deviation within cells is taken, for the
+    few cells on the patch's edge have a large one.  sums: (C, 7) scratch.
+    """
+    sums[:] = _0
+    for p in range(len(probes.valid)):
+        if not probes.valid[p] or _guides(p):
+            continue
+        x = (probes.direct[p, 0] + probes.direct[p, 1] + probes.direct[p, 2]) * np.float32(1 / 3)
+        weight = _weight(probes, p, near)
+        for level in range(LEVELS - 1):
+            sums[cells[p, level], 0] += weight * x * x
+            sums[cells[p, level], 1] += weight * weight
+    for c in range(len(parent)):
+        up = parent[c]
+        if up < 0 or not number[c] > _0:
+            continue
+        x = (direct[c, 0] + direct[c, 1] + direct[c, 2]) * np.float32(1 / 3)
+        effective = number[c] * number[c] / sums[c, 1]
+        if effective > _MANY:
+            mean = x / number[c]
+            deviation = np.float32(math.sqrt(max(_0, sums[c, 0] / number[c] - mean * mean) * effective / (effective - _1)))
+            sums[up, 2] += number[c] * deviation
+            sums[up, 3] += number[c]
+        sums[up, 4] += sums[c, 0]
+        sums[up, 5] += x
+        sums[up, 6] += number[c]
+    for c in range(len(parent)):
+        up = parent[c]
+        likeness[c] = most
+        if up < 0 or not sums[up, 3] > _0:
+            continue
+        within = sums[up, 2] / sums[up, 3]
+        within *= within
+        mean = sums[up, 5] / sums[up, 6]
+        between = sums[up, 4] / sums[up, 6] - mean * mean - within
+        if between > _0:
+            likeness[c] = min(most, within / between)
+
+
+@kernel
+def _smooth(values, number, unit, parent, level_of, likeness):
+    """Turns the sums (C, 3) of cells into means; a coarser cell stands in for what a finer one has not seen.
+
+    number: (C,) the sum of the weights.  unit: (C,) what a probe of the cell weighs.  likeness: (C,) as how many probes the
+    coarser cell counts.
+    """
     for level in range(LEVELS - 1, -1, -1):
         for c in range(len(parent)):
             if level_of[c] != level:
                 continue
             up = parent[c]
-            weight = prior if up >= 0 else _0
+            # What knows nothing itself takes all from the coarser one.
+            weight = (likeness[c] * unit[c] if number[c] > _0 else _1) if up >= 0 else _0
             for k in range(3):
                 own = values[c, k] + (weight * values[up, k] if up >= 0 else _0)
                 values[c, k] = own / max(number[c] + weight, np.float32(1e-6))
@@ -372,23 +436,23 @@ def build_light_cache(probes: Probes, bounces: int, seed: int, threads: int = 0)
     while count < 0:
         bits = max(10, int(np.ceil(np.log2(2 * room + 2))))
         keys, slot = np.zeros(1 << bits, np.uint64), np.full(1 << bits, -1, np.int32)
-        level_of, centre = np.empty(room, np.uint8), np.empty((room, 6), np.float32)
-        count = _insert(probes, origin, size, np.uint32(seed), keys, slot, cells, level_of, centre)
+        level_of, centre, side_of = np.empty(room, np.uint8), np.empty((room, 6), np.float32), np.empty(room, np.int32)
+        count = _insert(probes, origin, size, np.uint32(seed), keys, slot, cells, level_of, centre, side_of)
         room *= 2
-    level_of, centre = level_of[:count].copy(), centre[:count].copy()
+    level_of, centre, side_of = level_of[:count].copy(), centre[:count].copy(), side_of[:count].copy()
     radiosity = np.zeros((bounces, count, 3), np.float32)
     cache = LightCache(origin, size, keys, slot, radiosity, np.zeros(count, np.float32))
-    parent = _parents(cache, level_of, centre)
+    parent = _parents(cache, level_of, centre, side_of)
     link_cell = np.empty(len(probes.valid), np.int64)
     run_chunks(lambda begin, end: _links(probes, cache, begin, end, np.uint32(seed), link_cell), len(link_cell), CHUNK, threads)
-    seen_cell = look_up(cache, probes.position, probes.normal, seed + 3, threads)
+    seen_cell = look_up(cache, probes.position, probes.normal, probes.side, seed + 3, threads)
     root = np.arange(count)
     for _ in range(LEVELS - 1):
         root = np.where(parent[root] >= 0, parent[root], root)
-    vectors, numbers = np.zeros((2, count, 3), np.float32), np.zeros((2, count), np.float32)
+    vectors, numbers = np.zeros((2, count, 3), np.float32), np.zeros((4, count), np.float32)
     _solve(
         probes, cells, link_cell, seen_cell, parent, root, level_of, np.float32(PRIOR), np.float32(NEAR * size), _glossy_turns(probes), radiosity, *vectors, *numbers,
-        np.zeros((count, 2), np.float32),
+        np.zeros((count, 7), np.float32),
     )  # fmt: skip
     _brightness(probes, cells, link_cell, parent, level_of, np.float32(GUIDE_PRIOR), radiosity, cache.bright, np.zeros(count, np.float32))
     return cache
@@ -402,35 +466,37 @@ def _glossy_turns(probes: Probes) -> int:
 
 
 @kernel
-def _parents(cache, level_of, centre):
+def _parents(cache, level_of, centre, side_of):
     """The next coarser cell around each cell, -1 where there is none."""
     parent = np.full(len(level_of), -1, np.int64)
     for c in range(len(level_of)):
         if level_of[c] + 1 < LEVELS:
             x, y, z, nx, ny, nz = centre[c, 0], centre[c, 1], centre[c, 2], centre[c, 3], centre[c, 4], centre[c, 5]
-            parent[c] = _find(cache.keys, cache.slot, _key(cache.origin, cache.size, np.int64(level_of[c]) + 1, x, y, z, nx, ny, nz))
+            parent[c] = _find(
+                cache.keys, cache.slot, _key(cache.origin, cache.size, np.int64(level_of[c]) + 1, x, y, z, nx, ny, nz, side_of[c])
+            )
     return parent
 
 
 @kernel
-def _look_up(cache, position, normal, begin, end, seed, cell):
+def _look_up(cache, position, normal, side, begin, end, seed, cell):
     for i in range(begin, end):
         cell[i] = find_cell(
-            cache, position[i, 0], position[i, 1], position[i, 2], normal[i, 0], normal[i, 1], normal[i, 2],
+            cache, position[i, 0], position[i, 1], position[i, 2], normal[i, 0], normal[i, 1], normal[i, 2], side[i],
             uniform(seed, i, 2, 0), uniform(seed, i, 2, 1),
         )  # fmt: skip
 
 
-def look_up(cache: LightCache, position: np.ndarray, normal: np.ndarray, seed: int, threads: int = 0) -> np.ndarray:
-    """Cells (N,) int64 of places (N, 3) with geometric normals (N, 3), -1 where none knows them."""
+def look_up(cache: LightCache, position: np.ndarray, normal: np.ndarray, side: np.ndarray, seed: int, threads: int = 0) -> np.ndarray:
+    """Cells (N,) int64 of places (N, 3) with geometric normals (N, 3) and sides (N,), -1 where none knows them."""
     cell = np.empty(len(position), np.int64)
-    run_chunks(lambda begin, end: _look_up(cache, position, normal, begin, end, np.uint32(seed), cell), len(position), CHUNK, threads)
+    run_chunks(lambda begin, end: _look_up(cache, position, normal, side, begin, end, np.uint32(seed), cell), len(position), CHUNK, threads)
     return cell
 
 
 def seen_light(cache: LightCache, probes: Probes, seed: int) -> float:
     """Mean indirect irradiance of the view (W/m^2, mean of the channels): what the first probe of each path sends back."""
     first = slice(0, None, DEPTH)
-    cell = look_up(cache, probes.position[first], probes.normal[first], seed)
+    cell = look_up(cache, probes.position[first], probes.normal[first], probes.side[first], seed)
     found = (probes.valid[first] > 0) & (cell >= 0)
     return float(np.where(found, cache.radiosity[-1].mean(axis=1)[np.maximum(cell, 0)] if len(cache.bright) else 0.0, 0.0).mean())

@@ -12,7 +12,7 @@ from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import LOBE
-from ..surfaces.normals import shading_normal
+from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import nearest_surface
 from ..threads import Progress, run_chunks
@@ -46,12 +46,15 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
             return rays
         x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
-        if gx * dx + gy * dy + gz * dz > 0:
+        behind = gx * dx + gy * dy + gz * dz > 0
+        side = surface_side(scene.material[triangle], behind)
+        if behind:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
         if vertex > 0:
             link = probe - 1
             probes.link[link] = DIFFUSE_LINK if kinds == DIFFUSE else GLOSSY_LINK
             probes.link_position[link, 0], probes.link_position[link, 1], probes.link_position[link, 2] = x, y, z
+            probes.link_side[link] = side
             probes.link_normal[link, 0], probes.link_normal[link, 1], probes.link_normal[link, 2] = gx, gy, gz
             probes.carry[link, 0] *= r
             probes.carry[link, 1] *= g
@@ -60,6 +63,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
             return rays
         probes.valid[probe] = 1
         probes.distance[probe] = t
+        probes.side[probe] = side
         probes.position[probe, 0], probes.position[probe, 1], probes.position[probe, 2] = x, y, z
         probes.normal[probe, 0], probes.normal[probe, 1], probes.normal[probe, 2] = gx, gy, gz
         er, eg, eb, tx, ty, tz, r, g, b, kinds = scatter_light(

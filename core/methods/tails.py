@@ -22,7 +22,7 @@ from ..scene import DIFFUSE, GLOSSY
 from ..surfaces import layout
 from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, diffuse_albedo, glossy_rise
 from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, sample_lobe, set_lobe
-from ..surfaces.normals import shading_normal
+from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import nearest_surface
 from ..threads import run_chunks
@@ -126,10 +126,13 @@ def path_light(
         wr, wg, wb = wr * r, wg * g, wb * b
         x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
-        if gx * dx + gy * dy + gz * dz > 0:
+        behind = gx * dx + gy * dy + gz * dz > 0
+        if behind:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
         if t > near and left < len(cache.radiosity):
-            cell = find_cell(cache, x, y, z, gx, gy, gz, uniform(seed, path, at, 60), uniform(seed, path, at, 61))
+            cell = find_cell(
+                cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, at, 60), uniform(seed, path, at, 61)
+            )  # fmt: skip
             if cell >= 0:
                 er += wr * cache.radiosity[left, cell, 0]
                 eg += wg * cache.radiosity[left, cell, 1]

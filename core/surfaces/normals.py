@@ -21,3 +21,9 @@ def shading_normal(corner_normals, triangle, u, v, gx, gy, gz):
         return gx, gy, gz
     s = np.float32(1.0) / np.float32(math.sqrt(length2))
     return x * s, y * s, z * s
+
+
+@inlined
+def surface_side(material, behind):
+    """Tells surfaces apart that share a place and a normal: twice the material's number, one more on the back of a triangle."""
+    return np.int32(2) * np.int32(material) + np.int32(behind)

@@ -115,7 +115,7 @@ def test_cache_keeps_the_light_of_a_plane():
     cache = build_light_cache(probes_on_a_plane(20000, lambda x, y: np.where(x < 0.5, 0.1, 2.0)), 2, seed=1)
     rng = np.random.default_rng(2)
     places = np.column_stack([rng.random((20000, 2)), np.zeros(20000)]).astype(np.float32)
-    cell = look_up(cache, places, np.tile(np.float32([0, 0, 1]), (20000, 1)), 3)
+    cell = look_up(cache, places, np.tile(np.float32([0, 0, 1]), (20000, 1)), np.zeros(20000, np.int32), 3)
     assert (cell >= 0).all()
     found = cache.radiosity[:, cell, 0]
     assert found[1].mean() == pytest.approx(1.05, rel=0.01)
@@ -126,9 +126,10 @@ def test_cache_keeps_the_light_of_a_plane():
 
 def test_cache_does_not_leak_to_the_other_side_or_around_a_corner():
     cache = build_light_cache(probes_on_a_plane(5000, lambda x, y: np.ones_like(x)), 1, seed=1)
-    places = np.tile(np.float32([0.5, 0.5, 0.0]), (3, 1))
-    normals = np.float32([(0, 0, 1), (0, 0, -1), (1, 0, 0)])
-    assert (look_up(cache, places, normals, 1) >= 0).tolist() == [True, False, False]
+    places = np.tile(np.float32([0.5, 0.5, 0.0]), (4, 1))
+    normals = np.float32([(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, 0, 1)])
+    sides = np.array([0, 0, 0, 1])  # the last one: the back of a fold whose front has the same normal
+    assert (look_up(cache, places, normals, sides, 1) >= 0).tolist() == [True, False, False, False]
 
 
 def test_links_carry_light_bounce_after_bounce():
@@ -147,7 +148,7 @@ def test_links_carry_light_bounce_after_bounce():
 
 def test_empty_scenes_have_an_empty_cache(room):
     cache = build_light_cache(Probes.allocate(64), 2, seed=1)
-    assert (look_up(cache, np.zeros((1, 3), np.float32), np.float32([[0, 0, 1]]), 1) == -1).all()
+    assert (look_up(cache, np.zeros((1, 3), np.float32), np.float32([[0, 0, 1]]), np.zeros(1, np.int32), 1) == -1).all()
     tables, points = room
     probes, rays = trace_probes(tables, points.take(np.arange(1)), 10, seed=1)
     assert rays > 0 and probes.valid.any()
