@@ -1,0 +1,171 @@
+"""A bake, from the scene's arrays and its UV maps to finished lightmaps."""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..denoise import Denoiser
+from ..errors import SceneError
+from ..pipeline import Run, StageProgress, light_points, method_of, prepared
+from ..rays.order import morton_order
+from ..scene import Scene, Skipped
+from ..settings import RenderSettings
+from ..threads import thread_count
+from ..transport import Transport
+from ..view.points import ShadingPoints
+from ..view.texels import HIDDEN, LIT, Charts, Texels, view_texels
+from .filling import denoised, extended
+from .seams import find_seams, stitched
+
+# What a texel holds: W/m^2, or W/m^2/sr that the surface sends out.
+CONTENTS = {
+    "irradiance": "direct and indirect irradiance, W/m^2",
+    "indirect": "indirect irradiance, W/m^2",
+    "full": "radiance of the diffuse surface with its colour and its own emission, W/m^2/sr",
+}
+
+
+@dataclass(frozen=True)
+class BakeSettings:
+    """How lightmaps are made; `render` says how their light is computed.
+
+    content: a key of `CONTENTS`.  texel_samples: 1 to 16 samples a texel.  margin: texels around each chart that are filled, too.
+    stitch: whether both sides of a UV seam are made to show the same light.
+    """
+
+    render: RenderSettings = field(default_factory=RenderSettings)
+    content: str = "irradiance"
+    texel_samples: int = 4
+    margin: int = 4
+    stitch: bool = True
+
+
+@dataclass(frozen=True)
+class Target:
+    """One image: the triangles (T,) int32 that it shows, their UV coordinates (T, 3, 2) in 0..1, v up, and its (width, height)."""
+
+    name: str
+    triangles: np.ndarray
+    uv: np.ndarray
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Lightmap:
+    """A finished image (H, W, 3) float32, first row at the top (v = 1), and the state (H, W) uint8 of its texels before margins."""
+
+    name: str
+    image: np.ndarray
+    state: np.ndarray
+
+
+@dataclass(frozen=True)
+class BakeResult:
+    """Lightmaps in the order of their targets, and statistics as of a render."""
+
+    lightmaps: list[Lightmap]
+    stats: dict
+
+
+def bake(
+    scene: Scene, targets: list[Target], settings: BakeSettings, progress: StageProgress | None = None, *, extraction_seconds: float = 0.0
+) -> BakeResult:
+    """Compute lightmaps; the scene needs no camera.
+
+    Raises:
+        SceneError: the scene cannot be baked with these settings.
+        core.threads.Cancelled: `progress` returned False.
+    """
+    if settings.content not in CONTENTS:
+        raise SceneError(f"a lightmap cannot hold {settings.content!r}; choose {', '.join(CONTENTS)}")
+    request = settings.render.with_defaults()
+    run = Run(progress)
+    run.seconds["extraction"] = extraction_seconds
+    begin = time.perf_counter()
+    threads = thread_count(request.threads)
+    with prepared(run, scene) as tables:
+        seen = [_view(run, tables, target, settings, threads) for target in targets]
+        direct, indirect = _light(run, scene, tables, [texels for texels, _ in seen], settings, threads)
+    with closing(Denoiser()) as denoiser:
+        if request.denoise and denoiser.warning:
+            run.warnings.append(denoiser.warning)
+        lightmaps = []
+        for target, (texels, charts), *light in zip(targets, seen, direct, indirect):
+            if request.denoise:
+                with run.stage("denoise"):
+                    light = [denoised(irradiance, texels, denoiser, threads) for irradiance in light]
+            lightmaps.append(_finished(run, scene, target, charts, texels, light[0] + light[1], settings))
+    stats = {
+        "method": method_of(request),
+        "content": settings.content,
+        "images": {target.name: list(target.size) for target in targets},
+        "texels": {name: int(sum((texels.state == state).sum() for texels, _ in seen)) for name, state in (("lit", LIT), ("hidden", HIDDEN))},
+        "vpls": run.vpls,
+        "bounces": request.bounces,
+        "threads": threads,
+        "seconds": {"jit": 0.0} | run.seconds,
+        "seconds_total": extraction_seconds + time.perf_counter() - begin - run.seconds.get("jit", 0.0),
+        "rays": run.rays,
+        "pairs_shaded": run.pairs,
+        "skipped": [vars(s) for s in run.skipped],
+        "warnings": run.warnings,
+    }
+    return BakeResult(lightmaps, stats)
+
+
+def _view(run: Run, tables: Transport, target: Target, settings: BakeSettings, threads: int) -> tuple[Texels, Charts]:
+    """The texels of one image."""
+    charts = Charts.of(target.triangles, target.uv, target.size)
+    with run.stage("texels") as tick:
+        texels = view_texels(
+            tables, charts, target.size, settings.texel_samples, settings.render.seed, threads, tick, materials=settings.content == "full"
+        )
+    run.rays["primary"] += texels.rays
+    if not (texels.state == LIT).any():
+        run.skipped.append(Skipped("texels", f"'{target.name}' is hidden inside other objects: its lightmap is black"))
+    return texels, charts
+
+
+def _light(
+    run: Run, scene: Scene, tables: Transport, seen: list[Texels], settings: BakeSettings, threads: int
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Direct and indirect irradiance (H, W, 3) of each image; all images are lit together."""
+    sizes = [texels.state.size for texels in seen]
+    first = np.concatenate([[0], np.cumsum(sizes)])
+    points = ShadingPoints.concatenate(
+        [texels.points._replace(pixel=texels.points.pixel + np.int32(start)) for texels, start in zip(seen, first)]
+    )
+    points = points.take(morton_order(points.position, points.ns))
+    light = light_points(run, scene, tables, points, settings.render.with_defaults(), threads, direct=settings.content != "indirect")
+
+    def images(irradiance: np.ndarray) -> list[np.ndarray]:
+        flat = _image(points, irradiance, first[-1])
+        return [flat[start : start + size].reshape(*texels.state.shape, 3) for texels, start, size in zip(seen, first, sizes)]
+
+    return tuple(images(irradiance) for irradiance in light)
+
+
+def _image(points: ShadingPoints, irradiance: np.ndarray, n: int) -> np.ndarray:
+    """Sum (n, 3) of the irradiance (N, 3) of each texel's points by their shares of it."""
+    shown = points.albedo * irradiance
+    return np.stack([np.bincount(points.pixel, shown[:, c], n) for c in range(3)], axis=1).astype(np.float32)
+
+
+def _finished(
+    run: Run, scene: Scene, target: Target, charts: Charts, texels: Texels, irradiance: np.ndarray, settings: BakeSettings
+) -> Lightmap:
+    """The image that is kept: what it is to hold, with margins, without seams."""
+    with run.stage("margin"):
+        image, filled = extended(irradiance, texels.state, settings.margin)
+    if settings.stitch:
+        with run.stage("seams"):
+            image = stitched(image, texels.state == LIT, filled, find_seams(scene.geometry, charts))
+    if settings.content == "full":
+        albedo, _ = extended(texels.albedo, texels.state, settings.margin)
+        emission, _ = extended(texels.emission, texels.state, settings.margin)
+        image = albedo * image * np.float32(1 / np.pi) + emission
+    return Lightmap(target.name, image, texels.state)
