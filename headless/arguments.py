@@ -17,6 +17,7 @@ from .outputs import OutputError, check_file, check_folder
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 LAST_FRAME = 1_048_574  # Blender's MAXFRAME
+CONTENTS = ("irradiance", "indirect", "full")  # of a lightmap, as in core.lightmaps
 SUITES = ("kernels", "clustering", "fuzzy", "previews", "curves")  # of `bench`
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
 
@@ -86,6 +87,22 @@ def frame_range(text: str) -> range:
     if last < first:
         raise argparse.ArgumentTypeError(f"{text!r} ends before it begins; write {last}-{first}")
     return range(first, last + 1)
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Names between commas, at least one."""
+    found = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not found:
+        raise argparse.ArgumentTypeError(f"{text!r} names nothing; write NAME,NAME")
+    return found
+
+
+def texel_samples(text: str) -> int:
+    """A whole number from 1 to 16."""
+    number = count(text)
+    if number > 16:
+        raise argparse.ArgumentTypeError(f"{text!r} is more than 16 samples a texel")
+    return number
 
 
 def scene_source(text: str) -> str:
@@ -237,6 +254,13 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     reference.add_argument("--seed", type=size_or_none, default=0, metavar="S", help="random seed (default: %(default)s)")
     reference.add_argument("--denoise", action="store_true", help="denoise the layers with OpenImageDenoise")
 
+    bake = commands.add_parser("bake", help="lightmaps of a scene's objects, on UV maps that are made where they are missing")
+    _add_scene(bake, scene_is_open)
+    bake.add_argument("-o", "--output", type=output_folder, required=True, metavar="DIR", help="where the lightmaps go")
+    _add_bake_settings(bake)
+    _add_light_settings(bake)
+    bake.add_argument("--stats", type=output_file(".json"), metavar="FILE.json", help="write times, ray counts and warnings")
+
     compare = commands.add_parser("compare", help="error of one picture against another")
     compare.add_argument("test", type=image_file, metavar="TEST.exr", help="the picture to judge")
     compare.add_argument("reference", type=image_file, metavar="REF.exr", help="the picture held to be true")
@@ -285,19 +309,47 @@ def _add_render_settings(parser: Parser) -> None:
     add = parser.add_argument
     default = RenderSettings()
     keep = {"default": argparse.SUPPRESS}
+    _add_light_settings(parser)
+    add("--pixel-samples", type=count, metavar="P", **keep, help=f"primary samples a pixel (default: {default.pixel_samples})")
+    budget = parser.add_mutually_exclusive_group()
+    budget.add_argument("--time-budget", type=positive, metavar="SECONDS", **keep, help="use as many samples as fit in this time")
+    budget.add_argument("--target-error", type=positive, metavar="E", **keep, help="stop at this relMSE")
+    add("--debug-layers", action="store_true", **keep, help="also write clusters, gates and the light of single VPLs")
+
+
+def _add_light_settings(parser: Parser) -> None:
+    """The fields of `RenderSettings` that say how light is found, whatever is lit."""
+    add = parser.add_argument
+    default = RenderSettings()
+    keep = {"default": argparse.SUPPRESS}
     add("--method", choices=("auto", *METHOD_OPTIONS), **keep, help=f"how the light is gathered (default: {default.method})")
     add("--vpls", type=count, metavar="N", **keep, help=f"virtual point lights (default: {default.vpls})")
     add("--bounces", type=size_or_none, metavar="B", **keep, help=f"diffuse bounces of the indirect light (default: {default.bounces})")
     add("--seed", type=size_or_none, metavar="S", **keep, help=f"random seed (default: {default.seed})")
     add("--threads", type=size_or_none, metavar="T", **keep, help="threads (default: all cores)")
-    add("--pixel-samples", type=count, metavar="P", **keep, help=f"primary samples a pixel (default: {default.pixel_samples})")
     add("--denoise", action=argparse.BooleanOptionalAction, **keep, help="denoise the light (default: as the method needs)")
-    budget = parser.add_mutually_exclusive_group()
-    budget.add_argument("--time-budget", type=positive, metavar="SECONDS", **keep, help="use as many samples as fit in this time")
-    budget.add_argument("--target-error", type=positive, metavar="E", **keep, help="stop at this relMSE")
-    add("--debug-layers", action="store_true", **keep, help="also write clusters, gates and the light of single VPLs")
     for method, options in METHOD_OPTIONS.items():
         _add_own(parser, f"--method {method}", options)
+
+
+def _add_bake_settings(parser: Parser) -> None:
+    """What is baked, on which UV maps, into which images."""
+    add = parser.add_argument
+    chosen = parser.add_mutually_exclusive_group()
+    chosen.add_argument("--objects", type=names, metavar="A,B", help="bake these objects (default: every mesh that a render shows)")
+    chosen.add_argument("--selected", action="store_true", help="bake the objects that are selected in the file")
+    side = parser.add_mutually_exclusive_group()
+    side.add_argument("--size", type=count, default=512, metavar="N", help="texels along a side of each image (default: %(default)s)")
+    side.add_argument("--texel-density", type=positive, metavar="D", help="texels a metre: images as large as that needs")
+    add("--atlas", action="store_true", help="one image for all objects (default: one each)")
+    add("--margin", type=size_or_none, default=4, metavar="PX", help="texels around each chart that are filled, too (default: %(default)s)")
+    add("--content", choices=CONTENTS, default=CONTENTS[0], help="what the texels hold (default: %(default)s)")
+    add("--format", choices=("exr", "png"), default="exr", help="linear floats, or 8 bits with the sRGB curve and a scale (default: %(default)s)")
+    add("--texel-samples", type=texel_samples, default=4, metavar="P", help="samples a texel, 1 to 16 (default: %(default)s)")
+    add("--no-stitch", dest="stitch", action="store_false", help="leave UV seams as they are")
+    add("--uv-map", default="Lightmap", metavar="NAME", help="the UV map to bake on, made where it is missing (default: %(default)s)")
+    add("--unwrap", choices=("smart", "pack"), default="smart", help="Blender's Smart UV Project or Lightmap Pack (default: %(default)s)")
+    add("--gltf", action="store_true", help="also write scene.glb, whose materials shine with their lightmaps (needs --content full)")
 
 
 def _add_own(parser: Parser, owner: str, options: tuple[OwnOption, ...]) -> None:
@@ -344,7 +396,9 @@ def parse(argv: list[str] | None = None, *, in_blender: bool = False) -> argpars
         argv = sys.argv[own + 1 :]
     parser = build_parser(scene_is_open=in_blender)
     arguments = parser.parse_args(argv)
-    if arguments.command == "render":
+    if arguments.command == "bake" and arguments.gltf and arguments.content != "full":
+        parser.error("--gltf needs --content full: glTF knows no lightmaps, so that their light shines from the materials")
+    if arguments.command in ("render", "bake"):
         arguments.settings = _render_settings(parser, vars(arguments))
     if arguments.command == "bench":
         arguments.options = _suite_options(parser, vars(arguments))

@@ -7,7 +7,7 @@ import numpy as np
 from ..errors import SceneError
 from ..jit import kernel
 
-GRID = 2048  # points along a side, between which overlaps go unseen
+MOST_GRID = 2048  # points along a side, between which overlaps go unseen
 OUTSIDE = 1e-4  # of the image's side: rounding, no fault
 OVERLAP = 1e-3  # of the covered points: what meets along a rounded edge is none
 _INSIDE = 0.02  # grid cells from a triangle's edges
@@ -44,12 +44,12 @@ def _overlaps(uv, side, owner, twice):
     return shared, covered
 
 
-def check_charts(uv: np.ndarray, owner: np.ndarray, names: list[str], layer: str) -> None:
+def check_charts(uv: np.ndarray, owner: np.ndarray, names: list[str], layer: str, side: int = MOST_GRID) -> None:
     """Raise unless a UV map can hold a lightmap.
 
     Args:
         uv: (T, 3, 2) float32, all triangles of one image.  owner: (T,) int, the object of each, into `names`.
-        layer: what the UV map is called.
+        layer: what the UV map is called.  side: of the image, in texels.
 
     Raises:
         SceneError: coordinates outside of 0..1 or not finite, faces without area in the map, faces that overlap; it names the
@@ -70,11 +70,21 @@ def check_charts(uv: np.ndarray, owner: np.ndarray, names: list[str], layer: str
     if flat.any():
         raise SceneError(f"{_some(names, np.flatnonzero(flat))}: UV map '{layer}' has no area; {remedy}")
     twice = np.zeros(len(uv), np.uint8)
-    shared, covered = _overlaps(uv, GRID, np.full((GRID, GRID), -1, np.int32), twice)
+    grid = min(MOST_GRID, 2 * side)
+    shared, covered = _overlaps(uv, grid, np.full((grid, grid), -1, np.int32), twice)
     if shared > OVERLAP * covered:
         raise SceneError(
             f"{_some(names, owner[twice > 0])}: faces overlap in UV map '{layer}' ({100 * shared / covered:.1f} % of it); {remedy}"
         )
+
+
+def texels_a_metre(corners: np.ndarray, uv: np.ndarray) -> float:
+    """Side of the image in texels at which triangles (T, 3, 3) m, laid out as uv (T, 3, 2), have one texel a metre on average."""
+    edges = (corners[:, 1:] - corners[:, :1]).astype(np.float64)
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum()
+    e = (uv[:, 1:] - uv[:, :1]).astype(np.float64)
+    mapped = np.abs(e[:, 0, 0] * e[:, 1, 1] - e[:, 0, 1] * e[:, 1, 0]).sum()
+    return float(np.sqrt(area / mapped)) if mapped > 0 else 0.0
 
 
 def _some(names: list[str], owner: np.ndarray, most: int = 3) -> str:
