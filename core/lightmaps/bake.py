@@ -18,7 +18,7 @@ from ..threads import thread_count
 from ..transport import Transport
 from ..view.points import ShadingPoints
 from ..view.texels import HIDDEN, LIT, Charts, Texels, view_texels
-from .filling import denoised, extended
+from .filling import denoised, extended, without_strays
 from .seams import find_seams, stitched
 
 # What a texel holds: W/m^2, or W/m^2/sr that the surface sends out.
@@ -124,6 +124,7 @@ def _view(run: Run, tables: Transport, target: Target, settings: BakeSettings, t
         texels = view_texels(
             tables, charts, target.size, settings.texel_samples, settings.render.seed, threads, tick, materials=settings.content == "full"
         )
+    texels.state = without_strays(texels.state)
     run.rays["primary"] += texels.rays
     if not (texels.state == LIT).any():
         run.skipped.append(Skipped("texels", f"'{target.name}' is hidden inside other objects: its lightmap is black"))

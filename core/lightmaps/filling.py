@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import convolve, distance_transform_edt
 
 from ..denoise import Denoiser, mean_factor
 from ..view.texels import HIDDEN, LIT, Texels
+
+
+STRAY = 6  # hidden neighbours, of 8, of a texel that is hidden itself, whatever its own few rays found
+
+
+def without_strays(state: np.ndarray) -> np.ndarray:
+    """`state` (H, W) uint8 of texels without single lit ones amid hidden ones."""
+    around = convolve((state == HIDDEN).astype(np.int32), np.ones((3, 3), np.int32), mode="constant")
+    return np.where((state == LIT) & (around >= STRAY), np.uint8(HIDDEN), state)
 
 
 def nearest_known(known: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:

@@ -31,9 +31,11 @@ from .primary import SAME_NORMAL
 
 ROWS = 16  # of texels a chunk
 MOST_SAMPLES = WIDTH  # a texel: they are traced as one packet
-# A sample is hidden where this many rays all meet a back face, or anything nearer than this part of a texel.
+# A sample is hidden where this many rays all meet a back face, or anything nearer than this part of a texel; a texel where this
+# share of its samples is.
 PROBES = 4
-CONTACT = np.float32(0.1)
+CONTACT = np.float32(0.5)
+MOSTLY = np.float32(0.75)
 # How far off the surface, in texels, the samples of one texel must see each other.
 LIFT = np.float32(0.05)
 # What a texel is: beyond all charts, covered by hidden surfaces only, lit.
@@ -255,10 +257,12 @@ def _shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, ma
                 at.position[s, 0], at.position[s, 1], at.position[s, 2] = x, y, z
                 at.ng[s, 0], at.ng[s, 1], at.ng[s, 2] = gx, gy, gz
                 at.error[s], at.footprint[s] = error, footprint[found[k, s]]
-        if not at.valid.any():
+        inside = at.valid.astype(np.int64).sum()
+        if inside == 0:
             continue
         rays += _drop_hidden(scene, packet, at, direction, hash_combine(seed, texel))
-        if not at.valid.any():
+        left = at.valid.astype(np.int64).sum()
+        if left <= (_1 - MOSTLY) * np.float32(inside):
             state[texel] = HIDDEN
             continue
         state[texel] = LIT
