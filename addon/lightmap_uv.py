@@ -78,7 +78,9 @@ def _unwrapped(ob: bpy.types.Object, unwrap: Unwrap) -> np.ndarray:
             mesh = copy.data
             if method == "smart":
                 with _edit_mode(copy):
-                    bpy.ops.uv.smart_project(angle_limit=_ANGLE, margin_method="FRACTION", island_margin=unwrap.gap / 2, correct_aspect=False)
+                    bpy.ops.uv.smart_project(
+                        angle_limit=_ANGLE, margin_method="FRACTION", island_margin=unwrap.gap / 2, correct_aspect=False
+                    )
             else:
                 bpy.ops.uv.lightmap_pack(PREF_CONTEXT="ALL_FACES", PREF_MARGIN_DIV=min(1.0, 50 * unwrap.gap))
         uv = np.empty((len(mesh.loops), 2), np.float32)

@@ -344,7 +344,12 @@ def _add_bake_settings(parser: Parser) -> None:
     add("--atlas", action="store_true", help="one image for all objects (default: one each)")
     add("--margin", type=size_or_none, default=4, metavar="PX", help="texels around each chart that are filled, too (default: %(default)s)")
     add("--content", choices=CONTENTS, default=CONTENTS[0], help="what the texels hold (default: %(default)s)")
-    add("--format", choices=("exr", "png"), default="exr", help="linear floats, or 8 bits with the sRGB curve and a scale (default: %(default)s)")
+    add(
+        "--format",
+        choices=("exr", "png"),
+        default="exr",
+        help="linear floats, or 8 bits with the sRGB curve and a scale (default: %(default)s)",
+    )
     add("--texel-samples", type=texel_samples, default=4, metavar="P", help="samples a texel, 1 to 16 (default: %(default)s)")
     add("--no-stitch", dest="stitch", action="store_false", help="leave UV seams as they are")
     add("--uv-map", default="Lightmap", metavar="NAME", help="the UV map to bake on, made where it is missing (default: %(default)s)")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import closing
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,7 +17,7 @@ from ..threads import thread_count
 from ..transport import Transport
 from ..view.points import ShadingPoints
 from ..view.texels import HIDDEN, LIT, Charts, Texels, view_texels
-from .filling import denoised, extended, without_strays
+from .filling import denoised, extended, surroundings, without_strays
 from .seams import find_seams, stitched
 
 # What a texel holds: W/m^2, or W/m^2/sr that the surface sends out.
@@ -90,20 +89,22 @@ def bake(
     with prepared(run, scene) as tables:
         seen = [_view(run, tables, target, settings, threads) for target in targets]
         direct, indirect = _light(run, scene, tables, [texels for texels, _ in seen], settings, threads)
-    with closing(Denoiser()) as denoiser:
-        if request.denoise and denoiser.warning:
-            run.warnings.append(denoiser.warning)
-        lightmaps = []
-        for target, (texels, charts), *light in zip(targets, seen, direct, indirect):
-            if request.denoise:
-                with run.stage("denoise"):
-                    light = [denoised(irradiance, texels, denoiser, threads) for irradiance in light]
-            lightmaps.append(_finished(run, scene, target, charts, texels, light[0] + light[1], settings))
+    denoiser = Denoiser() if request.denoise else None
+    if denoiser and denoiser.warning:
+        run.warnings.append(denoiser.warning)
+    lightmaps = [
+        _finished(run, scene, target, *view, light, settings, denoiser, threads)
+        for target, view, *light in zip(targets, seen, direct, indirect)
+    ]
+    if denoiser:
+        denoiser.close()
     stats = {
         "method": method_of(request),
         "content": settings.content,
         "images": {target.name: list(target.size) for target in targets},
-        "texels": {name: int(sum((texels.state == state).sum() for texels, _ in seen)) for name, state in (("lit", LIT), ("hidden", HIDDEN))},
+        "texels": {
+            name: int(sum((texels.state == state).sum() for texels, _ in seen)) for name, state in (("lit", LIT), ("hidden", HIDDEN))
+        },
         "vpls": run.vpls,
         "bounces": request.bounces,
         "threads": threads,
@@ -157,16 +158,24 @@ def _image(points: ShadingPoints, irradiance: np.ndarray, n: int) -> np.ndarray:
 
 
 def _finished(
-    run: Run, scene: Scene, target: Target, charts: Charts, texels: Texels, irradiance: np.ndarray, settings: BakeSettings
-) -> Lightmap:
-    """The image that is kept: what it is to hold, with margins, without seams."""
+    run: Run, scene: Scene, target: Target, texels: Texels, charts: Charts, light: list[np.ndarray], settings: BakeSettings,
+    denoiser: Denoiser | None, threads: int,
+) -> Lightmap:  # fmt: skip
+    """The image that is kept, of direct and indirect irradiance (H, W, 3) each: without noise, with margins, without seams."""
+    lit = texels.state == LIT
+    if not lit.any():
+        return Lightmap(target.name, np.zeros_like(texels.normal), texels.state)
     with run.stage("margin"):
-        image, filled = extended(irradiance, texels.state, settings.margin)
+        around = surroundings(texels.state)
+    if denoiser is not None:
+        with run.stage("denoise"):
+            light = [denoised(irradiance, texels, around, denoiser, threads) for irradiance in light]
+    with run.stage("margin"):
+        image, filled = extended(light[0] + light[1], texels.state, around, settings.margin)
     if settings.stitch:
         with run.stage("seams"):
-            image = stitched(image, texels.state == LIT, filled, find_seams(scene.geometry, charts))
+            image = stitched(image, lit, filled, find_seams(scene.geometry, charts))
     if settings.content == "full":
-        albedo, _ = extended(texels.albedo, texels.state, settings.margin)
-        emission, _ = extended(texels.emission, texels.state, settings.margin)
+        albedo, emission = (extended(layer, texels.state, around, settings.margin)[0] for layer in (texels.albedo, texels.emission))
         image = albedo * image * np.float32(1 / np.pi) + emission
     return Lightmap(target.name, image, texels.state)

@@ -104,7 +104,9 @@ def _bilinear(places: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, n
     corner = np.floor(places - 0.5)
     fx, fy = (places - 0.5 - corner).T
     x, y = (np.clip(corner[:, c, None].astype(np.int64) + [0, 1], 0, shape[1 - c] - 1) for c in (0, 1))
-    texels = np.stack([y[:, 0] * shape[1] + x[:, 0], y[:, 0] * shape[1] + x[:, 1], y[:, 1] * shape[1] + x[:, 0], y[:, 1] * shape[1] + x[:, 1]], 1)
+    texels = np.stack(
+        [y[:, 0] * shape[1] + x[:, 0], y[:, 0] * shape[1] + x[:, 1], y[:, 1] * shape[1] + x[:, 0], y[:, 1] * shape[1] + x[:, 1]], 1
+    )
     weights = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], 1)
     return texels, weights
 
