@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from ..core.layers import srgb, write_picture, write_png
-from ..core.lightmaps import CONTENTS, Lightmap
+from ..core.lightmaps import Lightmap
+from ..core.settings import CONTENTS
 
 FORMATS = ("exr", "png")
 

@@ -10,7 +10,6 @@ import bpy
 import numpy as np
 
 from ..core.errors import SceneError
-from ..core.lightmaps import check_charts
 
 LAYER = "Lightmap"
 MOST_LAYERS = 8  # of a mesh, Blender's own limit
@@ -94,6 +93,8 @@ def _unwrapped(ob: bpy.types.Object, unwrap: Unwrap) -> np.ndarray:
 
 def _faults(mesh: bpy.types.Mesh, uv: np.ndarray, name: str) -> str | None:
     """What of UV coordinates is unfit for a lightmap, None if nothing."""
+    from ..core.lightmaps import check_charts  # with Numba, which takes a second to import
+
     mesh.calc_loop_triangles()
     loops = np.empty((len(mesh.loop_triangles), 3), np.int32)
     mesh.loop_triangles.foreach_get("loops", loops.ravel())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import bpy
@@ -11,9 +11,10 @@ import numpy as np
 
 from ..core.errors import SceneError
 from ..core.jit import CompileTimer
-from ..core.lightmaps import BakeResult, BakeSettings, Target, bake, check_charts, texels_a_metre
+from ..core.lightmaps import BakeResult, Target, bake, check_charts, texels_a_metre
 from ..core.pipeline import StageProgress
-from ..core.scene import Geometry
+from ..core.scene import Geometry, Scene
+from ..core.settings import BakeSettings
 from .extract import extract_scene
 from .lightmap_atlas import ATLAS_LAYER, lay_out
 from .lightmap_uv import Unwrap, ensure_uv
@@ -28,7 +29,8 @@ _BLOCK = 4  # texels: sides are multiples, as block compression wants them
 class LightmapRequest:
     """What is to be baked.
 
-    size: texels along a side of each image.  density: texels a metre, which then decides the size of each image.
+    size: texels along a side of each image.  density: texels a metre, which then decides the size of each image; densities: of
+    single objects, by name.
     atlas: one image for all objects; else one each.
     """
 
@@ -36,6 +38,7 @@ class LightmapRequest:
     unwrap: Unwrap = field(default_factory=Unwrap)
     size: int = 512
     density: float | None = None
+    densities: Mapping[str, float] = field(default_factory=dict)
     atlas: bool = False
 
 
@@ -82,14 +85,42 @@ def _named(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     return ob
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """A bake of which Blender's part is done: `run` reads arrays only and may be called in any thread.
+
+    seconds: of extraction, of unwrapping, and of compilation.
+    """
+
+    arrays: Scene
+    targets: list[Target]
+    request: LightmapRequest
+    layer: str
+    objects: dict[str, list[str]]
+    made: list[bpy.types.Mesh]
+    seconds: tuple[float, float, float]
+
+    def run(self, progress: StageProgress | None = None) -> SceneLightmaps:
+        """The lightmaps; raises as `core.lightmaps.bake`."""
+        extraction, unwrap, jit = self.seconds
+        result = bake(self.arrays, self.targets, self.request.bake, progress, extraction_seconds=extraction)
+        result.stats["seconds"]["unwrap"] = unwrap
+        result.stats["seconds"]["jit"] += jit
+        return SceneLightmaps(result, self.layer, self.objects, self.made)
+
+
 def bake_scene(
     scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], request: LightmapRequest, progress: StageProgress | None = None
 ) -> SceneLightmaps:
-    """Bake lightmaps of `objects`; they keep the UV maps that had to be made.
+    """Bake lightmaps of `objects`; they keep the UV maps that had to be made.  Raises as `prepare` and `Prepared.run`."""
+    return prepare(scene, objects, request).run(progress)
+
+
+def prepare(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], request: LightmapRequest) -> Prepared:
+    """Make UV maps, read the scene, and check that every object can hold its lightmap.
 
     Raises:
         SceneError: an object cannot be baked, and why.
-        core.threads.Cancelled: `progress` returned False.
     """
     if not 1 <= request.size <= LARGEST_SIDE:
         raise SceneError(f"a lightmap of {request.size} texels a side cannot be made; choose 1 to {LARGEST_SIDE}")
@@ -113,19 +144,17 @@ def bake_scene(
             owner = arrays.geometry.object[target.triangles]
             check_charts(target.uv, owner, arrays.geometry.object_names, layer, max(target.size))
         seconds = time.perf_counter() - begin - compiling.seconds
-    result = bake(arrays, targets, request.bake, progress, extraction_seconds=seconds)
-    result.stats["seconds"]["unwrap"] = unwrapped
-    result.stats["seconds"]["jit"] += compiling.seconds
-    members = {target.name: list(found) if request.atlas else [target.name] for target in targets}
-    return SceneLightmaps(result, layer, members, made)
+    members = {target.name: sorted(found) if request.atlas else [target.name] for target in targets}
+    return Prepared(arrays, targets, request, layer, members, made, (seconds, unwrapped, compiling.seconds))
 
 
 def _gap(ob: bpy.types.Object, request: LightmapRequest) -> float:
     """Space between new charts, of the image's side: twice the margin."""
     side = request.size
-    if request.density is not None:
+    density = request.densities.get(ob.name, request.density)
+    if density is not None:
         extent = np.array(ob.dimensions)
-        side = 2 * request.density * float(np.sqrt(extent @ np.roll(extent, 1) + 1e-12))  # about that of a box
+        side = 2 * density * float(np.sqrt(extent @ np.roll(extent, 1) + 1e-12))  # about that of a box
     return float(np.clip(2 * request.bake.margin / max(side, 1), *_GAPS))
 
 
@@ -149,12 +178,13 @@ def _check_found(objects: Iterable[bpy.types.Object], found: dict[str, np.ndarra
 
 def _side(geometry: Geometry, rows: np.ndarray, request: LightmapRequest) -> int:
     """Texels along a side of one object's image."""
-    if request.density is None:
+    name = geometry.object_names[geometry.object[rows[0]]]
+    density = request.densities.get(name, request.density)
+    if density is None:
         return request.size
-    side = request.density * texels_a_metre(geometry.vertices[geometry.triangles[rows]], geometry.lightmap_uv[rows])
+    side = density * texels_a_metre(geometry.vertices[geometry.triangles[rows]], geometry.lightmap_uv[rows])
     if side > LARGEST_SIDE:
-        name = geometry.object_names[geometry.object[rows[0]]]
-        raise SceneError(f"'{name}' needs {side:.0f} texels a side at {request.density:g} texels a metre; choose fewer than that")
+        raise SceneError(f"'{name}' needs {side:.0f} texels a side at {density:g} texels a metre; choose fewer than that")
     return max(_BLOCK, -int(-side // _BLOCK) * _BLOCK)
 
 

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .. import __version__, sample_scenes
-from ..core.settings import RenderSettings
+from ..core.settings import CONTENTS, BakeSettings, RenderSettings
 from .outputs import OutputError, check_file, check_folder
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 LAST_FRAME = 1_048_574  # Blender's MAXFRAME
-CONTENTS = ("irradiance", "indirect", "full")  # of a lightmap, as in core.lightmaps
 SUITES = ("kernels", "clustering", "fuzzy", "previews", "curves")  # of `bench`
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
 
@@ -343,7 +342,7 @@ def _add_bake_settings(parser: Parser) -> None:
     side.add_argument("--texel-density", type=positive, metavar="D", help="texels a metre: images as large as that needs")
     add("--atlas", action="store_true", help="one image for all objects (default: one each)")
     add("--margin", type=size_or_none, default=4, metavar="PX", help="texels around each chart that are filled, too (default: %(default)s)")
-    add("--content", choices=CONTENTS, default=CONTENTS[0], help="what the texels hold (default: %(default)s)")
+    add("--content", choices=tuple(CONTENTS), default=BakeSettings.content, help="what the texels hold (default: %(default)s)")
     add(
         "--format",
         choices=("exr", "png"),

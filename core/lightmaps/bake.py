@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,35 +12,13 @@ from ..errors import SceneError
 from ..pipeline import Run, StageProgress, light_points, method_of, prepared
 from ..rays.order import morton_order
 from ..scene import Scene, Skipped
-from ..settings import RenderSettings
+from ..settings import CONTENTS, BakeSettings
 from ..threads import thread_count
 from ..transport import Transport
 from ..view.points import ShadingPoints
 from ..view.texels import HIDDEN, LIT, Charts, Texels, view_texels
 from .filling import denoised, extended, surroundings, without_strays
 from .seams import find_seams, stitched
-
-# What a texel holds: W/m^2, or W/m^2/sr that the surface sends out.
-CONTENTS = {
-    "irradiance": "direct and indirect irradiance, W/m^2",
-    "indirect": "indirect irradiance, W/m^2",
-    "full": "radiance of the diffuse surface with its colour and its own emission, W/m^2/sr",
-}
-
-
-@dataclass(frozen=True)
-class BakeSettings:
-    """How lightmaps are made; `render` says how their light is computed.
-
-    content: a key of `CONTENTS`.  texel_samples: 1 to 16 samples a texel.  margin: texels around each chart that are filled, too.
-    stitch: whether both sides of a UV seam are made to show the same light.
-    """
-
-    render: RenderSettings = field(default_factory=RenderSettings)
-    content: str = "irradiance"
-    texel_samples: int = 4
-    margin: int = 4
-    stitch: bool = True
 
 
 @dataclass(frozen=True)

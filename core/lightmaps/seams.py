@@ -103,7 +103,7 @@ def _bilinear(places: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, n
     """The texels (P, 4) around places (P, 2) and their weights (P, 4), as a renderer interpolates and extends at the border."""
     corner = np.floor(places - 0.5)
     fx, fy = (places - 0.5 - corner).T
-    x, y = (np.clip(corner[:, c, None].astype(np.int64) + [0, 1], 0, shape[1 - c] - 1) for c in (0, 1))
+    x, y = (np.clip(corner[:, c, None].astype(np.int64) + np.arange(2), 0, shape[1 - c] - 1) for c in (0, 1))
     texels = np.stack(
         [y[:, 0] * shape[1] + x[:, 0], y[:, 0] * shape[1] + x[:, 1], y[:, 1] * shape[1] + x[:, 0], y[:, 1] * shape[1] + x[:, 1]], 1
     )

@@ -11,7 +11,7 @@ import bpy
 from ...addon.lightmap_files import write_lightmap
 from ...addon.lightmap_uv import Unwrap
 from ...addon.lightmaps import LightmapRequest, SceneLightmaps, bake_scene, choose_objects
-from ...core.lightmaps import CONTENTS, BakeSettings
+from ...core.settings import CONTENTS, BakeSettings
 from ..console import Terminal, quiet
 from ..outputs import whole_folder
 from ..results import write_json

@@ -7,10 +7,9 @@ import pytest
 
 from lumigate.core.denoise import Denoiser
 from lumigate.core.errors import SceneError
-from lumigate.core.lightmaps import BakeSettings, Target, bake, check_charts
-from lumigate.core.lightmaps import filling, seams
+from lumigate.core.lightmaps import Target, bake, check_charts, filling, seams
 from lumigate.core.pipeline import AVAILABLE as METHODS
-from lumigate.core.settings import RenderSettings
+from lumigate.core.settings import BakeSettings, RenderSettings
 from lumigate.core.threads import Cancelled
 from lumigate.core.view.texels import EMPTY, HIDDEN, LIT, Charts, Texels
 
@@ -133,7 +132,7 @@ def test_margins_are_the_nearest_texels_light():
             distance = np.hypot(*(at - (y, x)).T)
             assert filled[y, x] == (distance.min() <= 2)
             nearest = image[tuple(at[np.isclose(distance, distance.min())].T)]
-            assert filled[y, x] and (out[y, x] == nearest).all(axis=1).any() or not out[y, x].any()
+            assert (filled[y, x] and (out[y, x] == nearest).all(axis=1).any()) or not out[y, x].any()
 
 
 def test_hidden_texels_are_filled_however_far_and_strays_are_hidden():
