@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 
+from ...addon.lightmap_export import export_gltf
 from ...addon.lightmap_files import write_lightmap
 from ...addon.lightmap_uv import Unwrap
 from ...addon.lightmaps import LightmapRequest, SceneLightmaps, bake_scene, choose_objects
@@ -19,6 +20,7 @@ from ..sources import open_source
 
 LIST = "lightmaps.json"
 SCENE = "scene.blend"
+EXPORT = "scene.glb"
 
 
 def run(arguments: Namespace, terminal: Terminal) -> None:
@@ -33,6 +35,10 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
         terminal.warn(warning)
     with whole_folder(arguments.output) as folder:
         written = _write(folder, scene, baked, request, arguments.format)
+        if arguments.gltf:
+            with quiet():
+                export_gltf(scene, baked, folder / EXPORT)
+            written.append(EXPORT)
     if arguments.stats is not None:
         write_json(arguments.stats, stats)
     texels, count = stats["texels"]["lit"], len(baked.result.lightmaps)
