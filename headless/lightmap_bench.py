@@ -100,7 +100,7 @@ def _scene_rows(name: str, source: str, size: int, samples: int, reference_sampl
             lightmap = result.lightmaps[0]
             raw, seconds = cycles(samples, 100 + turn)
             for way, peer in peers.items():
-                clean, spent = _denoised(raw, prepared, lightmap.state, denoiser, mirrored=way != "as it is")
+                clean, spent = _denoised(raw, lightmap.state, denoiser, mirrored=way != "as it is")
                 if turn >= 0:
                     peer.add(clean, seconds + spent)
             if turn >= 0:
@@ -114,7 +114,7 @@ def largest(objects: Sequence[bpy.types.Object], count: int) -> list[bpy.types.O
     return sorted(objects, key=lambda ob: -float(np.prod(np.sort(np.array(ob.dimensions))[1:])))[:count]
 
 
-def _denoised(raw: np.ndarray, prepared: Prepared, state: np.ndarray, denoiser: Denoiser, *, mirrored: bool) -> tuple[np.ndarray, float]:
+def _denoised(raw: np.ndarray, state: np.ndarray, denoiser: Denoiser, *, mirrored: bool) -> tuple[np.ndarray, float]:
     """Cycles' image without noise, and the seconds of it."""
     begin = time.perf_counter()
     if mirrored:

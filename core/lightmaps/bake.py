@@ -147,7 +147,7 @@ def _finished(
         around = surroundings(texels.state)
     if denoiser is not None:
         with run.stage("denoise"):
-            light = [denoised(irradiance, texels, around, denoiser, threads) for irradiance in light]
+            light = [denoised(irradiance, texels.normal, texels.position, around, denoiser, threads) for irradiance in light]
     with run.stage("margin"):
         image, filled = extended(light[0] + light[1], texels.state, around, settings.margin)
     if settings.stitch:

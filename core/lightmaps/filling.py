@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import convolve, distance_transform_edt
 
 from ..denoise import Denoiser, mean_factor
-from ..view.texels import HIDDEN, LIT, Texels
+from ..view.texels import HIDDEN, LIT
 
 STRAY = 6  # hidden neighbours, of 8, of a texel that is hidden itself, whatever its own few rays found
 _DEPTHS = (1.0, 0.5, 0.25)  # how far inside its chart a texel's mirror image lies, of its distance outside
@@ -65,15 +65,18 @@ def extended(image: np.ndarray, state: np.ndarray, around: Surroundings, margin:
     return np.where(filled[..., None], _taken(image, around.nearest), np.float32(0)), filled
 
 
-def denoised(irradiance: np.ndarray, texels: Texels, around: Surroundings, denoiser: Denoiser, threads: int) -> np.ndarray:
+def denoised(
+    irradiance: np.ndarray, normal: np.ndarray, position: np.ndarray, around: Surroundings, denoiser: Denoiser, threads: int
+) -> np.ndarray:
     """`irradiance` (H, W, 3) without noise where texels are lit, its mean kept.
 
     Charts are mirrored about their edges first: a black gutter would darken them, and one filled with streaks of a colour would
-    look like a pattern to be kept.  Normals tell the denoiser where one chart ends and another begins.
+    look like a pattern to be kept.  Normals (H, W, 3) tell the denoiser where one chart ends and another begins; positions (m) are
+    for the blur that stands in for it.
     """
     if not irradiance[around.lit].any():
         return irradiance
-    color, normal, position = (_taken(image, around.mirrored) for image in (irradiance, texels.normal, texels.position))
+    color, normal, position = (_taken(image, around.mirrored) for image in (irradiance, normal, position))
     clean = denoiser.denoise(color, np.full_like(color, 0.5), normal, position=position, threads=threads)
     factor = mean_factor(irradiance[around.lit][None], clean[around.lit][None])
     return np.where(around.lit[..., None], clean * factor, np.float32(0))

@@ -11,7 +11,7 @@ from lumigate.core.lightmaps import Target, bake, check_charts, filling, seams
 from lumigate.core.pipeline import AVAILABLE as METHODS
 from lumigate.core.settings import BakeSettings, RenderSettings
 from lumigate.core.threads import Cancelled
-from lumigate.core.view.texels import EMPTY, HIDDEN, LIT, Charts, Texels
+from lumigate.core.view.texels import EMPTY, HIDDEN, LIT, Charts
 
 CORNERS = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
 INWARD = [(2, 3, 1, 0), (5, 7, 6, 4), (1, 5, 4, 0), (6, 7, 3, 2), (4, 6, 2, 0), (3, 7, 5, 1)]
@@ -155,9 +155,8 @@ def test_denoising_leaves_no_dark_edges():
     noisy = np.where(lit[..., None], rng.gamma(4, 0.25, (64, 64, 1)), 0).astype(np.float32) * np.ones(3, np.float32)
     normal = np.zeros((64, 64, 3), np.float32)
     normal[:35, :, 2], normal[35:, :, 0] = lit[:35], lit[35:]
-    texels = Texels(None, state, normal * 0, normal * 0, normal, normal * 0, 0)
     with closing(Denoiser()) as denoiser:
-        clean = filling.denoised(noisy, texels, filling.surroundings(state), denoiser, 2)
+        clean = filling.denoised(noisy, normal, normal * 0, filling.surroundings(state), denoiser, 2)
     assert not clean[~lit].any()
     assert clean[lit].mean() == pytest.approx(noisy[lit].mean(), rel=0.01)
     assert clean[lit].std() < 0.1 * noisy[lit].std()
