@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .. import __version__, sample_scenes
-from ..core.settings import CONTENTS, BakeSettings, RenderSettings
+from ..core.settings import RenderSettings
+from .argument_types import count, positive, size_or_none
+from .bake_arguments import add_bake_settings
 from .outputs import OutputError, check_file, check_folder
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
@@ -28,37 +30,6 @@ class OwnOption:
     flag: str
     field: str
     keywords: dict
-
-
-def count(text: str) -> int:
-    """A whole number from 1 up."""
-    return _whole(text, 1)
-
-
-def size_or_none(text: str) -> int:
-    """A whole number from 0 up."""
-    return _whole(text, 0)
-
-
-def _whole(text: str, least: int) -> int:
-    try:
-        number = int(text)
-    except ValueError:
-        number = least - 1
-    if not least <= number < 2**31:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {least} up")
-    return number
-
-
-def positive(text: str) -> float:
-    """A finite number above 0."""
-    try:
-        number = float(text)
-    except ValueError:
-        number = 0.0
-    if not 0 < number < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
-    return number
 
 
 def resolution(text: str) -> tuple[int, int]:
@@ -86,22 +57,6 @@ def frame_range(text: str) -> range:
     if last < first:
         raise argparse.ArgumentTypeError(f"{text!r} ends before it begins; write {last}-{first}")
     return range(first, last + 1)
-
-
-def names(text: str) -> tuple[str, ...]:
-    """Names between commas, at least one."""
-    found = tuple(name.strip() for name in text.split(",") if name.strip())
-    if not found:
-        raise argparse.ArgumentTypeError(f"{text!r} names nothing; write NAME,NAME")
-    return found
-
-
-def texel_samples(text: str) -> int:
-    """A whole number from 1 to 16."""
-    number = count(text)
-    if number > 16:
-        raise argparse.ArgumentTypeError(f"{text!r} is more than 16 samples a texel")
-    return number
 
 
 def scene_source(text: str) -> str:
@@ -256,7 +211,7 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     bake = commands.add_parser("bake", help="lightmaps of a scene's objects, on UV maps that are made where they are missing")
     _add_scene(bake, scene_is_open)
     bake.add_argument("-o", "--output", type=output_folder, required=True, metavar="DIR", help="where the lightmaps go")
-    _add_bake_settings(bake)
+    add_bake_settings(bake)
     _add_light_settings(bake)
     bake.add_argument("--stats", type=output_file(".json"), metavar="FILE.json", help="write times, ray counts and warnings")
 
@@ -329,31 +284,6 @@ def _add_light_settings(parser: Parser) -> None:
     add("--denoise", action=argparse.BooleanOptionalAction, **keep, help="denoise the light (default: as the method needs)")
     for method, options in METHOD_OPTIONS.items():
         _add_own(parser, f"--method {method}", options)
-
-
-def _add_bake_settings(parser: Parser) -> None:
-    """What is baked, on which UV maps, into which images."""
-    add = parser.add_argument
-    chosen = parser.add_mutually_exclusive_group()
-    chosen.add_argument("--objects", type=names, metavar="A,B", help="bake these objects (default: every mesh that a render shows)")
-    chosen.add_argument("--selected", action="store_true", help="bake the objects that are selected in the file")
-    side = parser.add_mutually_exclusive_group()
-    side.add_argument("--size", type=count, default=512, metavar="N", help="texels along a side of each image (default: %(default)s)")
-    side.add_argument("--texel-density", type=positive, metavar="D", help="texels a metre: images as large as that needs")
-    add("--atlas", action="store_true", help="one image for all objects (default: one each)")
-    add("--margin", type=size_or_none, default=4, metavar="PX", help="texels around each chart that are filled, too (default: %(default)s)")
-    add("--content", choices=tuple(CONTENTS), default=BakeSettings.content, help="what the texels hold (default: %(default)s)")
-    add(
-        "--format",
-        choices=("exr", "png"),
-        default="exr",
-        help="linear floats, or 8 bits with the sRGB curve and a scale (default: %(default)s)",
-    )
-    add("--texel-samples", type=texel_samples, default=4, metavar="P", help="samples a texel, 1 to 16 (default: %(default)s)")
-    add("--no-stitch", dest="stitch", action="store_false", help="leave UV seams as they are")
-    add("--uv-map", default="Lightmap", metavar="NAME", help="the UV map to bake on, made where it is missing (default: %(default)s)")
-    add("--unwrap", choices=("smart", "pack"), default="smart", help="Blender's Smart UV Project or Lightmap Pack (default: %(default)s)")
-    add("--gltf", action="store_true", help="also write scene.glb, whose materials shine with their lightmaps (needs --content full)")
 
 
 def _add_own(parser: Parser, owner: str, options: tuple[OwnOption, ...]) -> None:
