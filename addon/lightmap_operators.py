@@ -58,6 +58,30 @@ class BakeLightmaps(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class BakeAttributes(bpy.types.Operator):
+    """Bake the light at the corners of faces into the colour attribute 'Lightmap' of the chosen objects' meshes"""
+
+    bl_idname = "lumigate.bake_attributes"
+    bl_label = "Bake Colour Attributes"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """What is wrong is reported in one line."""
+        from .lightmap_attributes import bake_attributes
+
+        scene = context.scene
+        try:
+            objects = chosen_objects(scene)
+            warnings = bake_attributes(scene, objects, request_of(scene, objects).bake) if objects else []
+        except SceneError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        for warning in warnings:
+            self.report({"WARNING"}, warning)
+        self.report({"INFO"}, f"{len(objects)} colour attribute{'s' * (len(objects) != 1)}")
+        return {"FINISHED"}
+
+
 class RestoreMaterials(bpy.types.Operator):
     """Give every object the materials from before its lightmap was set up; the images stay"""
 
@@ -162,4 +186,4 @@ def stamp_of(ob: bpy.types.Object) -> str:
     return digest.hexdigest()[:16]
 
 
-CLASSES = (BakeLightmaps, RestoreMaterials)
+CLASSES = (BakeLightmaps, BakeAttributes, RestoreMaterials)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .lightmap_operators import BakeLightmaps, RestoreMaterials
+from .lightmap_operators import BakeAttributes, BakeLightmaps, RestoreMaterials
 
 
 class LightmapPanel(bpy.types.Panel):
@@ -36,6 +36,7 @@ class LightmapPanel(bpy.types.Panel):
             column.prop(settings, "folder")
         column.prop(settings, "materials")
         layout.operator(BakeLightmaps.bl_idname, icon="RENDER_STILL")
+        layout.operator(BakeAttributes.bl_idname, icon="GROUP_VCOL")
         layout.operator(RestoreMaterials.bl_idname, icon="LOOP_BACK")
 
 

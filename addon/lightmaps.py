@@ -134,7 +134,7 @@ def prepare(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], request
     with CompileTimer() as compiling:
         begin = time.perf_counter()
         arrays = extract_scene(scene, lightmaps={ob.name: layer for ob in objects})
-        found = _triangles(arrays.geometry)
+        found = triangles_by_object(arrays.geometry)
         _check_found(objects, found, layer)
         if request.atlas:
             targets = [_target(ATLAS, arrays.geometry, list(found.values()), size)]
@@ -158,7 +158,7 @@ def _gap(ob: bpy.types.Object, request: LightmapRequest) -> float:
     return float(np.clip(2 * request.bake.margin / max(side, 1), *_GAPS))
 
 
-def _triangles(geometry: Geometry) -> dict[str, np.ndarray]:
+def triangles_by_object(geometry: Geometry) -> dict[str, np.ndarray]:
     """Triangles (T,) int32 that have a place in a lightmap, by object."""
     if geometry.lightmap_uv is None:
         return {}

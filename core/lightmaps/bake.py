@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,10 +15,13 @@ from ..scene import Scene, Skipped
 from ..settings import CONTENTS, BakeSettings
 from ..threads import thread_count
 from ..transport import Transport
+from ..view.corners import view_corners
 from ..view.points import ShadingPoints
 from ..view.texels import HIDDEN, LIT, Charts, Texels, view_texels
 from .filling import denoised, extended, surroundings, without_strays
 from .seams import find_seams, stitched
+
+CORNER_RAYS = 8  # of a corner of a colour attribute, for each of a texel
 
 
 @dataclass(frozen=True)
@@ -94,6 +97,29 @@ def bake(
         "warnings": run.warnings,
     }
     return BakeResult(lightmaps, stats)
+
+
+def bake_corners(
+    scene: Scene, triangles: np.ndarray, settings: BakeSettings, progress: StageProgress | None = None
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Light at the corners of T triangles, for a colour attribute: values (T, 3, 3), which of them hold light (T, 3) bool, and warnings.
+
+    Corners are few, and no denoiser sees them: each gets `CORNER_RAYS` times the rays of a texel.  Raises as `bake`.
+    """
+    request = settings.render.with_defaults()
+    more = {name: CORNER_RAYS * getattr(request, name) for name in ("samples", "gather", "direct_samples")}
+    settings = replace(settings, render=replace(request, **more))
+    run = Run(progress)
+    threads = thread_count(request.threads)
+    full = settings.content == "full"
+    with prepared(run, scene) as tables:
+        with run.stage("texels") as tick:
+            corners = view_corners(tables, triangles, settings.texel_samples, request.seed, threads, tick, materials=full)
+        (direct,), (indirect,) = _light(run, scene, tables, [corners], settings, threads)
+    light = direct + indirect
+    if full:
+        light = corners.albedo * light * np.float32(1 / np.pi) + corners.emission
+    return light, corners.state == LIT, run.warnings
 
 
 def _view(run: Run, tables: Transport, target: Target, settings: BakeSettings, threads: int) -> tuple[Texels, Charts]:

@@ -234,8 +234,8 @@ def _cosine(normals, i, j):
 
 
 @kernel
-def _shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, materials, points, state, layers):
-    """Points and layers of the texels whose samples `cover` has found; the numbers of points and rays.
+def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, materials, points, state, layers):
+    """Points and layers of the texels whose samples are given (as by `cover`); the numbers of points and rays.
 
     materials: whether to read albedo and emission.
     """
@@ -355,7 +355,7 @@ def view_texels(
         found, weights = np.empty((texels, samples), np.int32), np.empty((texels, samples, 2), np.float32)
         cover(charts.uv, begin, end, width, samples, np.uint32(seed), found, weights)
         room = ShadingPoints.allocate(int((found >= 0).sum()))
-        n, rays = _shade_rows(
+        n, rays = shade_rows(
             scene, charts.triangle, footprint, found, weights, begin, width, np.uint32(seed), materials, room, state, layers
         )
         return room.first(n), rays

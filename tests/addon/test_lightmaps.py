@@ -255,3 +255,40 @@ def test_operator_reports_what_is_wrong_in_one_line(registered, scene):
     settings.packed, settings.folder = False, "//maps"
     with pytest.raises(RuntimeError, match="not saved yet"):
         bpy.ops.lumigate.bake_lightmaps()
+
+
+def test_light_at_corners_becomes_a_colour_attribute(registered, scene):
+    # A point lamp of 100 W, 3 m above the middle of a floor of 4 m in 8 x 8 faces: irradiance 100 cos^3 / (4 pi^2 9) at its vertices.
+    for name in ("Box", "Other box"):
+        bpy.data.objects.remove(scene.objects[name])
+    bpy.data.objects.remove(scene.objects["Floor"])
+    bpy.ops.mesh.primitive_grid_add(size=4, x_subdivisions=8, y_subdivisions=8)
+    floor = bpy.context.object
+    floor.scale.x = -1
+    floor.data.color_attributes.new("Painted", "BYTE_COLOR", "POINT")
+    scene.objects["Lamp"].data.shadow_soft_size = 0
+    settings = quick(scene)
+    settings.texel_samples, scene.lumigate.bounces = 4, 0
+
+    assert bpy.ops.lumigate.bake_attributes() == {"FINISHED"}
+
+    colors = floor.data.color_attributes
+    assert [(layer.name, layer.domain) for layer in colors] == [("Painted", "POINT"), ("Lightmap", "CORNER")]
+    assert colors[colors.render_color_index].name == "Painted"
+    values = np.empty((len(floor.data.loops), 4), np.float32)
+    colors["Lightmap"].data.foreach_get("color", values.ravel())
+    places = np.array([floor.data.vertices[loop.vertex_index].co for loop in floor.data.loops])
+    inside = np.abs(places).max(axis=1) < 1.9
+    expected = 100 / (4 * np.pi) * 3 / (9 + (places**2).sum(axis=1)) ** 1.5
+    np.testing.assert_allclose(values[inside, 0], expected[inside], rtol=0.05)
+
+
+def test_attributes_are_refused_where_a_mesh_is_shared_or_modified(scene):
+    from lumigate.addon.lightmap_attributes import bake_attributes
+
+    with pytest.raises(SceneError, match="'Box' shares its mesh"):
+        bake_attributes(scene, [scene.objects["Box"]], QUICK)
+    scene.objects["Floor"].modifiers.new("Array", "ARRAY")
+    with pytest.raises(SceneError, match="'Floor' has other faces"):
+        bake_attributes(scene, [scene.objects["Floor"]], QUICK)
+    assert not scene.objects["Floor"].data.color_attributes

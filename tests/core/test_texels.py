@@ -8,6 +8,7 @@ from lumigate.core.rays import RayScene
 from lumigate.core.transport import transport
 from lumigate.core.view import texels as tx
 from lumigate.core.view.camera import pixel_sample
+from lumigate.core.view.corners import corner_weights
 
 SEED = 5
 
@@ -155,3 +156,11 @@ def test_same_bits_for_any_number_of_threads(build, seen):
 def test_number_of_samples_is_bounded(build, seen):
     with pytest.raises(ValueError, match="1 to 16"):
         seen(*build.quads(FLOOR), [0, 1], quad_uv(), (4, 4), samples=17)
+
+
+def test_corner_weights_are_largest_at_their_own_corner():
+    weights = corner_weights(30, 16, 1)
+    full = np.concatenate([1 - weights.sum(axis=2, keepdims=True), weights], axis=2)
+    assert (full.argmax(axis=2) == np.arange(30)[:, None] % 3).all() and (full >= -1e-6).all()
+    # The centroid of that third of a triangle.
+    assert full[0::3].mean(axis=(0, 1)) == pytest.approx((11 / 18, 7 / 36, 7 / 36), abs=0.03)
