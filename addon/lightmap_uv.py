@@ -16,6 +16,7 @@ MOST_LAYERS = 8  # of a mesh, Blender's own limit
 # Smart UV Project keeps charts large; Lightmap Pack lays every face out by itself, which can never overlap.
 UNWRAPPERS = ("smart", "pack")
 _ANGLE = np.radians(66)
+_WELL_FILLED = 0.4  # of the image's area
 
 
 @dataclass(frozen=True)
@@ -71,35 +72,50 @@ def _check_editable(ob: bpy.types.Object) -> None:
 
 
 def _unwrapped(ob: bpy.types.Object, unwrap: Unwrap) -> np.ndarray:
-    """(loops, 2) float32 UV coordinates of the object's mesh, by Blender's own operator on a copy, true to its scale."""
-    for method in (unwrap.method, "pack"):
-        with _lone_copy(ob) as copy:
-            mesh = copy.data
-            if method == "smart":
-                with _edit_mode(copy):
-                    bpy.ops.uv.smart_project(
-                        angle_limit=_ANGLE, margin_method="FRACTION", island_margin=unwrap.gap / 2, correct_aspect=False
-                    )
-            else:
-                bpy.ops.uv.lightmap_pack(PREF_CONTEXT="ALL_FACES", PREF_MARGIN_DIV=min(1.0, 50 * unwrap.gap))
-        uv = np.empty((len(mesh.loops), 2), np.float32)
-        mesh.uv_layers[0].data.foreach_get("uv", uv.ravel())
-        faults = _faults(mesh, uv, ob.name)
-        bpy.data.meshes.remove(mesh)
-        if faults is None:
-            return uv
+    """(loops, 2) float32 UV coordinates of the object's mesh, true to its scale, that lie apart and fill the image well."""
+    faults = None
+    for gap in (unwrap.gap, unwrap.gap / 2, unwrap.gap / 4):  # where charts are many, wide gaps leave them no room
+        uv, used, found = _unwrapped_by(ob, unwrap.method, gap)
+        if found is not None:
+            faults = found
+            break
+        if used > _WELL_FILLED:
+            break
+    if faults is None:
+        return uv
+    uv, _, faults = _unwrapped_by(ob, "pack", unwrap.gap)
+    if faults is None:
+        return uv
     raise SceneError(f"Blender cannot unwrap '{ob.name}' for a lightmap ({faults}): unwrap it by hand into a UV map '{unwrap.layer}'")
 
 
-def _faults(mesh: bpy.types.Mesh, uv: np.ndarray, name: str) -> str | None:
-    """What of UV coordinates is unfit for a lightmap, None if nothing."""
-    from ..core.lightmaps import check_charts  # with Numba, which takes a second to import
-
+def _unwrapped_by(ob: bpy.types.Object, method: str, gap: float) -> tuple[np.ndarray, float, str | None]:
+    """UV coordinates (loops, 2) by one of Blender's operators, on a copy; the share of the image that they use; what is unfit."""
+    with _lone_copy(ob) as copy:
+        mesh = copy.data
+        if method == "smart":
+            with _edit_mode(copy):
+                bpy.ops.uv.smart_project(angle_limit=_ANGLE, margin_method="FRACTION", island_margin=gap / 2, correct_aspect=False)
+        else:
+            bpy.ops.uv.lightmap_pack(PREF_CONTEXT="ALL_FACES", PREF_MARGIN_DIV=min(1.0, 50 * gap))
+    uv = np.empty((len(mesh.loops), 2), np.float32)
+    mesh.uv_layers[0].data.foreach_get("uv", uv.ravel())
     mesh.calc_loop_triangles()
     loops = np.empty((len(mesh.loop_triangles), 3), np.int32)
     mesh.loop_triangles.foreach_get("loops", loops.ravel())
+    bpy.data.meshes.remove(mesh)
+    corners = uv[loops]
+    edges = corners[:, 1:] - corners[:, :1]
+    used = float(np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]).sum() / 2)
+    return uv, used, _faults(corners, ob.name)
+
+
+def _faults(corners: np.ndarray, name: str) -> str | None:
+    """What of UV coordinates (T, 3, 2) is unfit for a lightmap, None if nothing."""
+    from ..core.lightmaps import check_charts  # with Numba, which takes a second to import
+
     try:
-        check_charts(uv[loops], np.zeros(len(loops), np.int64), [name], LAYER)
+        check_charts(corners, np.zeros(len(corners), np.int64), [name], LAYER)
     except SceneError as error:
         return str(error)
     return None

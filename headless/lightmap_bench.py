@@ -1,7 +1,7 @@
 """Lightmaps beside Cycles' bake with denoising, and a scene that is exported with its light baked in and rendered again.
 
 The same objects, UV map and image for both; contestants take turns, seconds are medians.  Errors are relMSE of the irradiance on the
-texels that show a surface and touch nothing hidden, against two independent halves of a bake by Cycles, net of their noise.  Cycles' images are denoised as they
+texels that show a surface, as all their neighbours do, against two independent halves of a bake by Cycles, net of their noise.  Cycles' images are denoised as they
 are, and as ours are (charts mirrored about their edges, with normals); the better of both is the peer.
 """
 
@@ -15,9 +15,8 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import bpy
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_erosion
 
 from ..addon.files import open_scene
 from ..addon.lightmap_export import export_gltf
@@ -28,13 +27,16 @@ from ..core.lightmaps.filling import denoised, surroundings
 from ..core.lightmaps.seams import Seams, find_seams, seam_error
 from ..core.pipeline import render
 from ..core.settings import BakeSettings, RenderSettings
-from ..core.view.texels import HIDDEN, LIT, Charts
+from ..core.view.texels import LIT, Charts
 from .console import quiet
 from .cycles_bake import bake_by_cycles
 from .sources import extract, find_scene, open_source
 
-SCENES = (("Cornell box", "cornell"), ("living room", "living-room-greywhite"), ("atrium", "atrium"))
-OBJECTS = 6  # of a scene, the largest ones: Cycles prepares the whole scene again for each
+# Name, source, and the objects, None for all: Cycles prepares the whole scene again for each of them.
+SCENES = (
+    ("Cornell box", "cornell", None),
+    ("living room", "living-room-greywhite", ("Mesh019", "Mesh042", "Mesh057", "Mesh059")),
+)
 SIZE = 256
 SAMPLES, REFERENCE_SAMPLES = 64, 4096
 REPEATS = 3
@@ -63,7 +65,7 @@ class Contest:
 
 
 def lightmap_rows(
-    scenes: Sequence[tuple[str, str]] = SCENES,
+    scenes: Sequence[tuple[str, str, Sequence[str] | None]] = SCENES,
     size: int = SIZE,
     samples: int = SAMPLES,
     reference_samples: int = REFERENCE_SAMPLES,
@@ -72,18 +74,20 @@ def lightmap_rows(
 ) -> list[dict]:
     """Rows of all scenes that are there, and of the round trip through glTF of one."""
     rows = []
-    for name, source in scenes:
+    for name, source, names in scenes:
         found = find_scene(source)
         if found is not None:
-            rows += _scene_rows(name, found, size, samples, reference_samples, repeats)
+            rows += _scene_rows(name, found, names, size, samples, reference_samples, repeats)
     if round_trip is not None:
         rows.append(round_trip_row(round_trip))
     return rows
 
 
-def _scene_rows(name: str, source: str, size: int, samples: int, reference_samples: int, repeats: int) -> list[dict]:
+def _scene_rows(
+    name: str, source: str, names: Sequence[str] | None, size: int, samples: int, reference_samples: int, repeats: int
+) -> list[dict]:
     scene = open_source(source)
-    objects = largest(choose_objects(scene), OBJECTS)
+    objects = choose_objects(scene, names)
     settings = BakeSettings(RenderSettings())
     request = LightmapRequest(settings, size=size, atlas=True)
     prepared = prepare(scene, objects, request)
@@ -118,13 +122,11 @@ def _scene_rows(name: str, source: str, size: int, samples: int, reference_sampl
 
 
 def comparable(state: np.ndarray) -> np.ndarray:
-    """Texels (H, W) bool that hold the same by both: of those beside hidden ones Cycles' hold the dark under things, too."""
-    return (state == LIT) & ~binary_dilation(state == HIDDEN, np.ones((3, 3)))
+    """Texels (H, W) bool that hold the same by both: those whose neighbours all show a surface, too.
 
-
-def largest(objects: Sequence[bpy.types.Object], count: int) -> list[bpy.types.Object]:
-    """The `count` objects with the largest bounding boxes, by the product of their two larger sides."""
-    return sorted(objects, key=lambda ob: -float(np.prod(np.sort(np.array(ob.dimensions))[1:])))[:count]
+    At the edge of a chart, or of what hides it, ours hold the light of what can be seen in them, Cycles' that of a whole square.
+    """
+    return binary_erosion(state == LIT, np.ones((3, 3)))
 
 
 def _denoised(raw: np.ndarray, state: np.ndarray, denoiser: Denoiser, *, mirrored: bool) -> tuple[np.ndarray, float]:
@@ -142,7 +144,7 @@ def _rows(
     name: str, prepared: Prepared, state: np.ndarray, ours: Contest, peers: dict[str, Contest], halves: list[np.ndarray], samples: int
 ) -> list[dict]:
     """Time, error, seams and black texels of one scene."""
-    lit = comparable(state)
+    lit, shown = comparable(state), state == LIT
     target = prepared.targets[0]
     seams = find_seams(prepared.arrays.geometry, Charts.of(target.triangles, target.uv, target.size))
     mean = (halves[0] + halves[1]) / 2
@@ -153,8 +155,8 @@ def _rows(
     peer = min(peers.values(), key=lambda contest: error(contest.image))
     bias = metrics.bias(ours.image[lit][None], mean[lit][None])
     scale = BLACK * mean[lit].mean()
-    black = [int(((image.max(axis=2) < scale) & (mean.max(axis=2) > 2 * scale) & lit).sum()) for image in (ours.image, peer.image)]
-    title = f"{name}, {target.size[0]}x{target.size[1]}, {int(lit.sum()):,} texels"
+    black = [int(((image.max(axis=2) < scale) & (mean.max(axis=2) > 2 * scale) & shown).sum()) for image in (ours.image, peer.image)]
+    title = f"{name}, {target.size[0]}x{target.size[1]}, {int(shown.sum()):,} texels"
     rows = [
         _row(f"{title}: seconds, and of Cycles at {samples} samples + OIDN", ours.time, "s", peer.time),
         _row(f"{title}: relMSE, ours and theirs", error(ours.image), "1", error(peer.image)),
@@ -162,7 +164,7 @@ def _rows(
         _row(f"{title}: texels black that the reference lights, ours and theirs", black[0], "texels", black[1]),
     ]
     if len(seams.a):
-        rows.append(_seam_row(title, ours.image, peer.image, lit, seams))
+        rows.append(_seam_row(title, ours.image, peer.image, shown, seams))
     return rows
 
 

@@ -63,24 +63,24 @@ def bake(
     if settings.content not in CONTENTS:
         raise SceneError(f"a lightmap cannot hold {settings.content!r}; choose {', '.join(CONTENTS)}")
     request = settings.render.with_defaults()
+    method = method_of(request)
     run = Run(progress)
     run.seconds["extraction"] = extraction_seconds
     begin = time.perf_counter()
     threads = thread_count(request.threads)
     with prepared(run, scene) as tables:
         seen = [_view(run, tables, target, settings, threads) for target in targets]
-        direct, indirect = _light(run, scene, tables, [texels for texels, _ in seen], settings, threads)
+        irradiance = _light(run, scene, tables, [texels for texels, _ in seen], settings, threads)
     denoiser = Denoiser() if request.denoise else None
     if denoiser and denoiser.warning:
         run.warnings.append(denoiser.warning)
     lightmaps = [
-        _finished(run, scene, target, *view, light, settings, denoiser, threads)
-        for target, view, *light in zip(targets, seen, direct, indirect)
+        _finished(run, scene, target, *view, light, settings, denoiser, threads) for target, view, light in zip(targets, seen, irradiance)
     ]
     if denoiser:
         denoiser.close()
     stats = {
-        "method": method_of(request),
+        "method": method,
         "content": settings.content,
         "images": {target.name: list(target.size) for target in targets},
         "texels": {
@@ -115,8 +115,7 @@ def bake_corners(
     with prepared(run, scene) as tables:
         with run.stage("texels") as tick:
             corners = view_corners(tables, triangles, settings.texel_samples, request.seed, threads, tick, materials=full)
-        (direct,), (indirect,) = _light(run, scene, tables, [corners], settings, threads)
-    light = direct + indirect
+        (light,) = _light(run, scene, tables, [corners], settings, threads)
     if full:
         light = corners.albedo * light * np.float32(1 / np.pi) + corners.emission
     return light, corners.state == LIT, run.warnings
@@ -136,23 +135,19 @@ def _view(run: Run, tables: Transport, target: Target, settings: BakeSettings, t
     return texels, charts
 
 
-def _light(
-    run: Run, scene: Scene, tables: Transport, seen: list[Texels], settings: BakeSettings, threads: int
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Direct and indirect irradiance (H, W, 3) of each image; all images are lit together."""
+def _light(run: Run, scene: Scene, tables: Transport, seen: list[Texels], settings: BakeSettings, threads: int) -> list[np.ndarray]:
+    """Irradiance (H, W, 3) of each image; all images are lit together."""
     sizes = [texels.state.size for texels in seen]
     first = np.concatenate([[0], np.cumsum(sizes)])
     points = ShadingPoints.concatenate(
         [texels.points._replace(pixel=texels.points.pixel + np.int32(start)) for texels, start in zip(seen, first)]
     )
     points = points.take(morton_order(points.position, points.ns))
-    light = light_points(run, scene, tables, points, settings.render.with_defaults(), threads, direct=settings.content != "indirect")
-
-    def images(irradiance: np.ndarray) -> list[np.ndarray]:
-        flat = _image(points, irradiance, first[-1])
-        return [flat[start : start + size].reshape(*texels.state.shape, 3) for texels, start, size in zip(seen, first, sizes)]
-
-    return tuple(images(irradiance) for irradiance in light)
+    direct, indirect = light_points(
+        run, scene, tables, points, settings.render.with_defaults(), threads, direct=settings.content != "indirect"
+    )
+    flat = _image(points, direct + indirect, first[-1])
+    return [flat[start : start + size].reshape(*texels.state.shape, 3) for texels, start, size in zip(seen, first, sizes)]
 
 
 def _image(points: ShadingPoints, irradiance: np.ndarray, n: int) -> np.ndarray:
@@ -162,10 +157,10 @@ def _image(points: ShadingPoints, irradiance: np.ndarray, n: int) -> np.ndarray:
 
 
 def _finished(
-    run: Run, scene: Scene, target: Target, texels: Texels, charts: Charts, light: list[np.ndarray], settings: BakeSettings,
+    run: Run, scene: Scene, target: Target, texels: Texels, charts: Charts, irradiance: np.ndarray, settings: BakeSettings,
     denoiser: Denoiser | None, threads: int,
 ) -> Lightmap:  # fmt: skip
-    """The image that is kept, of direct and indirect irradiance (H, W, 3) each: without noise, with margins, without seams."""
+    """The image that is kept, of the irradiance (H, W, 3): without noise, with margins, without seams."""
     lit = texels.state == LIT
     if not lit.any():
         return Lightmap(target.name, np.zeros_like(texels.normal), texels.state)
@@ -173,9 +168,9 @@ def _finished(
         around = surroundings(texels.state)
     if denoiser is not None:
         with run.stage("denoise"):
-            light = [denoised(irradiance, texels.normal, texels.position, around, denoiser, threads) for irradiance in light]
+            irradiance = denoised(irradiance, texels.normal, texels.position, around, denoiser, threads)
     with run.stage("margin"):
-        image, filled = extended(light[0] + light[1], texels.state, around, settings.margin)
+        image, filled = extended(irradiance, texels.state, around, settings.margin)
     if settings.stitch:
         with run.stage("seams"):
             image = stitched(image, lit, filled, find_seams(scene.geometry, charts))

@@ -155,7 +155,7 @@ def test_light_is_that_of_cycles(content):
 
 @pytest.mark.slow
 def test_bench_has_rows_for_time_error_seams_and_black_texels():
-    rows = lightmap_rows([("box", "cornell")], size=48, samples=4, reference_samples=16, repeats=1, round_trip=None)
+    rows = lightmap_rows([("box", "cornell", None)], size=48, samples=4, reference_samples=16, repeats=1, round_trip=None)
     cases = " ".join(row["case"] for row in rows)
     assert all(word in cases for word in ("seconds", "relMSE", "bias", "black"))
     assert all(np.isfinite(row["value"]) and row["suite"] == "lightmaps" for row in rows)
