@@ -57,6 +57,15 @@ def test_every_texel_of_the_furnace_is_right(furnace):
     assert np.percentile(np.abs(lightmap.image[lightmap.state == LIT] - expected), 99) < 0.15 * expected
 
 
+@pytest.mark.filterwarnings("error")
+def test_what_no_light_reaches_is_black_without_a_warning(build):
+    # The outside of a shining cube sees nothing.
+    outward = [[CORNERS[k] for k in face[::-1]] for face in INWARD]
+    scene = build.scene(build.geometry(*build.quads(*outward)), build.materials((0.5, 1.0)))
+    lightmap = bake(scene, [Target("Walls", np.arange(12, dtype=np.int32), cells(6, 3), (48, 32))], settings()).lightmaps[0]
+    assert (lightmap.state == LIT).any() and not lightmap.image.any()
+
+
 def test_images_are_lit_together_and_kept_apart(furnace):
     scene, target = furnace
     one, two = (Target(f"{k}", target.triangles[part], target.uv[part], (48, 32)) for k, part in enumerate((slice(0, 4), slice(4, 12))))
