@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import bpy
 
-from . import operators, panels, properties
+from . import lightmap_operators, lightmap_panel, lightmap_properties, operators, panels, properties
 
 # Each module lists its CLASSES; properties first, for the others show them.
-CLASSES = (*properties.CLASSES, *operators.CLASSES, *panels.CLASSES)
+MODULES = (properties, lightmap_properties, operators, lightmap_operators, panels, lightmap_panel)
+CLASSES = tuple(cls for module in MODULES for cls in module.CLASSES)
 
 
 def register() -> None:
@@ -18,6 +19,7 @@ def register() -> None:
             bpy.utils.register_class(cls)
             done.append(cls)
         properties.attach()
+        lightmap_properties.attach()
     except Exception:
         for cls in reversed(done):
             bpy.utils.unregister_class(cls)
@@ -26,6 +28,7 @@ def register() -> None:
 
 def unregister() -> None:
     """Leave nothing behind."""
+    lightmap_properties.detach()
     properties.detach()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -235,6 +235,16 @@ def _group_channels(names: tuple[str, ...], view_layer: str | None) -> dict[tupl
     return groups
 
 
+def write_picture(path: str | os.PathLike, image: np.ndarray, metadata: Mapping[str, str] | None = None) -> Path:
+    """Write linear values (H, W, 3) as a plain OpenEXR of the channels R, G and B, float32; whole or not at all."""
+    spec = oiio.ImageSpec(image.shape[1], image.shape[0], image.shape[2], oiio.FLOAT)
+    spec.attribute("compression", "zip:2")
+    spec.attribute("oiio:ColorSpace", "lin_rec709")
+    for key, value in (metadata or {}).items():
+        spec.attribute(_PREFIX + key, str(value))
+    return write_whole(path, lambda temporary: _write_image(temporary, spec, np.asarray(image, np.float32)))
+
+
 def auto_exposure(arrays: Mapping[str, np.ndarray] | list[np.ndarray], percentile: float = 95.0, target: float = 0.8) -> float:
     """Exposure in stops at which `percentile` of the pixels lie below `target`; one value for several layers."""
     values = list(arrays.values()) if isinstance(arrays, Mapping) else arrays

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -48,7 +48,7 @@ class RenderResult:
 
 
 @dataclass
-class _Run:
+class Run:
     """Clock, counters and remarks of one render."""
 
     progress: StageProgress | None
@@ -89,8 +89,8 @@ def render(
         core.threads.Cancelled: `progress` returned False.
     """
     settings = settings.with_defaults()
-    method = _method(settings)
-    run = _Run(progress)
+    method = method_of(settings)
+    run = Run(progress)
     run.seconds["extraction"] = extraction_seconds
     begin = time.perf_counter()
     threads = thread_count(settings.threads)
@@ -101,17 +101,7 @@ def render(
     denoiser = Denoiser() if settings.denoise else None
     if denoiser and denoiser.warning:
         run.warnings.append(denoiser.warning)
-    with run.stage("rays"):
-        geometry = scene.geometry
-        transparent = (scene.materials.tables.flags[geometry.material] & TRANSPARENT) != 0
-        ray_scene = RayScene(geometry.vertices, geometry.triangles, geometry.object_visibility[geometry.object], transparent)
-    with ray_scene:
-        with run.stage("emitters"):
-            emitters = build_emitters(scene)
-            skipped, warnings = foresee(scene, emitters)
-            run.skipped = [*scene.skipped, *skipped]
-            run.warnings += [*scene.warnings, *warnings]
-            tables = transport(geometry, scene.materials.tables, ray_scene.tables, emitters)
+    with prepared(run, scene) as tables:
         camera = scene.camera
         pixels = (camera.border[2] - camera.border[0]) * (camera.border[3] - camera.border[1])
         passes = Passes(settings.time_budget, settings.target_error, pixels, threads)
@@ -150,7 +140,41 @@ def render(
     return RenderResult(layers, stats)
 
 
-def _pass(run: _Run, scene: Scene, tables: Transport, settings: RenderSettings, threads: int, weight: float) -> Picture:
+@contextmanager
+def prepared(run: Run, scene: Scene) -> Iterator[Transport]:
+    """The tables of a scene, whose rays can be traced inside the block; remarks on the scene go into `run`."""
+    with run.stage("rays"):
+        geometry = scene.geometry
+        transparent = (scene.materials.tables.flags[geometry.material] & TRANSPARENT) != 0
+        ray_scene = RayScene(geometry.vertices, geometry.triangles, geometry.object_visibility[geometry.object], transparent)
+    with ray_scene:
+        with run.stage("emitters"):
+            emitters = build_emitters(scene)
+            skipped, warnings = foresee(scene, emitters)
+            run.skipped = [*scene.skipped, *skipped]
+            run.warnings += [*scene.warnings, *warnings]
+            tables = transport(geometry, scene.materials.tables, ray_scene.tables, emitters)
+        yield tables
+
+
+def light_points(
+    run: Run, scene: Scene, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, *, direct: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Direct (zero unless wanted) and indirect irradiance, (N, 3) W/m^2 each, at points that need not belong to any view.
+
+    points: N of them, in an order in which neighbours lie close together; without glossy lobes.
+    """
+    first = np.zeros((len(points.pixel), 3), np.float32)
+    if direct:
+        with run.stage("direct") as tick:
+            first, _ = _direct(run, scene, tables, points, settings, threads, tick)
+    sampler = _sampler(run, tables, points, settings, threads)
+    indirect, vpls = _indirect(run, tables, points, settings, threads, sampler)
+    run.vpls += len(vpls.bounce)
+    return first, indirect
+
+
+def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, threads: int, weight: float) -> Picture:
     """One picture of the view, its samples, VPLs and caches independent of those of other seeds."""
     with run.stage("view") as tick:
         seen = view(scene, tables.rays, world_tables(scene.world), settings.pixel_samples, settings.seed, threads, tick)
@@ -178,7 +202,7 @@ def _pass(run: _Run, scene: Scene, tables: Transport, settings: RenderSettings, 
     return Picture.compose(seen, direct, indirect, highlights + mirrored.direct, mirrored.indirect, mirrored.albedo, weight)
 
 
-def _method(settings: RenderSettings) -> str:
+def method_of(settings: RenderSettings) -> str:
     """The method that runs."""
     if settings.method not in AVAILABLE:
         raise SceneError(f"method {settings.method!r} is not available; use {', '.join(AVAILABLE)} or auto")
@@ -186,7 +210,7 @@ def _method(settings: RenderSettings) -> str:
 
 
 def _direct(
-    run: _Run, scene: Scene, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, tick
+    run: Run, scene: Scene, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, tick
 ) -> tuple[np.ndarray, np.ndarray]:
     """Direct irradiance at the points (N, 3), and the radiance that their lobes reflect of it (N, 3) by shadow rays."""
     by_maps = highlights = np.zeros((len(points.pixel), 3), np.float32)
@@ -206,7 +230,7 @@ def _direct(
     return by_maps + by_rays, highlights
 
 
-def _sampler(run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> ImportanceSampling | None:
+def _sampler(run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> ImportanceSampling | None:
     """The accurate method with its cache of light filled, which reflections use, too."""
     if settings.method != "importance-sampling" or settings.bounces < 1 or not tables.emitters.flux.any():
         return None
@@ -221,7 +245,7 @@ def _sampler(run: _Run, tables: Transport, points: ShadingPoints, settings: Rend
 
 
 def _glossy(
-    run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
+    run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
 ) -> Reflections:
     """What rays drawn from the points' lobes find."""
     nothing = np.zeros((len(points.pixel), 3), np.float32)
@@ -238,7 +262,7 @@ def _glossy(
 
 
 def _indirect(
-    run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
+    run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
 ) -> tuple[np.ndarray, Vpls]:
     """Indirect irradiance at the points (N, 3), and the VPLs that it came from."""
     nothing = np.zeros((len(points.pixel), 3), np.float32)

@@ -36,6 +36,7 @@ class Geometry:
         attribute, generated or object coordinates): slot k means what each material says it means.
     material: (T,) int32 into `Materials`;  object: (T,) int32 into the object lists.
     object_names: O names;  object_visibility: (O,) uint8 bits of ray kinds.
+    lightmap_uv: (T, 3, 2) float32, where a bake asked for them: corners in the object's lightmap, NaN where it has none.
     """
 
     vertices: np.ndarray
@@ -46,6 +47,7 @@ class Geometry:
     object: np.ndarray
     object_names: list[str]
     object_visibility: np.ndarray
+    lightmap_uv: np.ndarray | None = None
 
 
 class MaterialTables(NamedTuple):
@@ -173,13 +175,13 @@ class Skipped:
 
 @dataclass
 class Scene:
-    """All that a render reads."""
+    """All that a render reads; a bake of lightmaps needs no camera."""
 
     geometry: Geometry
     materials: Materials
     lamps: Lamps
     world: World
-    camera: Camera
+    camera: Camera | None
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     frame: int = 1
     view_layer: str = "ViewLayer"

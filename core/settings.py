@@ -13,6 +13,13 @@ METHODS = (
     "importance-sampling",
 )
 
+# What a lightmap's texel holds: W/m^2, or W/m^2/sr that the surface sends out.
+CONTENTS = {
+    "irradiance": "direct and indirect irradiance, W/m^2",
+    "indirect": "indirect irradiance, W/m^2",
+    "full": "radiance of the diffuse surface with its colour and its own emission, W/m^2/sr",
+}
+
 
 @dataclass
 class RenderSettings:
@@ -81,3 +88,18 @@ class RenderSettings:
         }
         vpls = max(min(self.vpls, 256), round(quality**0.5 * self.vpls))
         return replace(self, seed=self.seed + 15485863 * number, vpls=vpls, **fewer)
+
+
+@dataclass(frozen=True)
+class BakeSettings:
+    """How lightmaps are made; `render` says how their light is computed.
+
+    content: a key of `CONTENTS`.  texel_samples: 1 to 16 samples a texel.  margin: texels around each chart that are filled, too.
+    stitch: whether both sides of a UV seam are made to show the same light.
+    """
+
+    render: RenderSettings = field(default_factory=RenderSettings)
+    content: str = "irradiance"
+    texel_samples: int = 4
+    margin: int = 4
+    stitch: bool = True

@@ -116,6 +116,8 @@ def resample(vpls: Vpls, importance: np.ndarray, count: int, seed: int) -> Vpls:
     if m <= count:
         return vpls
     power = vpls.flux.astype(np.float64).mean(axis=1)
+    if not power.sum() > 0:
+        return vpls.take(slice(0, count))
     density = DEFENSIVE * power / power.sum()
     if importance.sum() > 0:
         density = density + (1 - DEFENSIVE) * importance / importance.sum()

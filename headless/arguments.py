@@ -13,11 +13,13 @@ from pathlib import Path
 
 from .. import __version__, sample_scenes
 from ..core.settings import RenderSettings
+from .argument_types import count, positive, size_or_none
+from .bake_arguments import add_bake_settings
 from .outputs import OutputError, check_file, check_folder
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 LAST_FRAME = 1_048_574  # Blender's MAXFRAME
-SUITES = ("kernels", "clustering", "fuzzy", "previews", "curves")  # of `bench`
+SUITES = ("kernels", "clustering", "fuzzy", "previews", "curves", "lightmaps")  # of `bench`
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
 
 
@@ -28,37 +30,6 @@ class OwnOption:
     flag: str
     field: str
     keywords: dict
-
-
-def count(text: str) -> int:
-    """A whole number from 1 up."""
-    return _whole(text, 1)
-
-
-def size_or_none(text: str) -> int:
-    """A whole number from 0 up."""
-    return _whole(text, 0)
-
-
-def _whole(text: str, least: int) -> int:
-    try:
-        number = int(text)
-    except ValueError:
-        number = least - 1
-    if not least <= number < 2**31:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {least} up")
-    return number
-
-
-def positive(text: str) -> float:
-    """A finite number above 0."""
-    try:
-        number = float(text)
-    except ValueError:
-        number = 0.0
-    if not 0 < number < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
-    return number
 
 
 def resolution(text: str) -> tuple[int, int]:
@@ -237,6 +208,13 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     reference.add_argument("--seed", type=size_or_none, default=0, metavar="S", help="random seed (default: %(default)s)")
     reference.add_argument("--denoise", action="store_true", help="denoise the layers with OpenImageDenoise")
 
+    bake = commands.add_parser("bake", help="lightmaps of a scene's objects, on UV maps that are made where they are missing")
+    _add_scene(bake, scene_is_open)
+    bake.add_argument("-o", "--output", type=output_folder, required=True, metavar="DIR", help="where the lightmaps go")
+    add_bake_settings(bake)
+    _add_light_settings(bake)
+    bake.add_argument("--stats", type=output_file(".json"), metavar="FILE.json", help="write times, ray counts and warnings")
+
     compare = commands.add_parser("compare", help="error of one picture against another")
     compare.add_argument("test", type=image_file, metavar="TEST.exr", help="the picture to judge")
     compare.add_argument("reference", type=image_file, metavar="REF.exr", help="the picture held to be true")
@@ -285,17 +263,25 @@ def _add_render_settings(parser: Parser) -> None:
     add = parser.add_argument
     default = RenderSettings()
     keep = {"default": argparse.SUPPRESS}
+    _add_light_settings(parser)
+    add("--pixel-samples", type=count, metavar="P", **keep, help=f"primary samples a pixel (default: {default.pixel_samples})")
+    budget = parser.add_mutually_exclusive_group()
+    budget.add_argument("--time-budget", type=positive, metavar="SECONDS", **keep, help="use as many samples as fit in this time")
+    budget.add_argument("--target-error", type=positive, metavar="E", **keep, help="stop at this relMSE")
+    add("--debug-layers", action="store_true", **keep, help="also write clusters, gates and the light of single VPLs")
+
+
+def _add_light_settings(parser: Parser) -> None:
+    """The fields of `RenderSettings` that say how light is found, whatever is lit."""
+    add = parser.add_argument
+    default = RenderSettings()
+    keep = {"default": argparse.SUPPRESS}
     add("--method", choices=("auto", *METHOD_OPTIONS), **keep, help=f"how the light is gathered (default: {default.method})")
     add("--vpls", type=count, metavar="N", **keep, help=f"virtual point lights (default: {default.vpls})")
     add("--bounces", type=size_or_none, metavar="B", **keep, help=f"diffuse bounces of the indirect light (default: {default.bounces})")
     add("--seed", type=size_or_none, metavar="S", **keep, help=f"random seed (default: {default.seed})")
     add("--threads", type=size_or_none, metavar="T", **keep, help="threads (default: all cores)")
-    add("--pixel-samples", type=count, metavar="P", **keep, help=f"primary samples a pixel (default: {default.pixel_samples})")
     add("--denoise", action=argparse.BooleanOptionalAction, **keep, help="denoise the light (default: as the method needs)")
-    budget = parser.add_mutually_exclusive_group()
-    budget.add_argument("--time-budget", type=positive, metavar="SECONDS", **keep, help="use as many samples as fit in this time")
-    budget.add_argument("--target-error", type=positive, metavar="E", **keep, help="stop at this relMSE")
-    add("--debug-layers", action="store_true", **keep, help="also write clusters, gates and the light of single VPLs")
     for method, options in METHOD_OPTIONS.items():
         _add_own(parser, f"--method {method}", options)
 
@@ -344,7 +330,9 @@ def parse(argv: list[str] | None = None, *, in_blender: bool = False) -> argpars
         argv = sys.argv[own + 1 :]
     parser = build_parser(scene_is_open=in_blender)
     arguments = parser.parse_args(argv)
-    if arguments.command == "render":
+    if arguments.command == "bake" and arguments.gltf and arguments.content != "full":
+        parser.error("--gltf needs --content full: glTF knows no lightmaps, so that their light shines from the materials")
+    if arguments.command in ("render", "bake"):
         arguments.settings = _render_settings(parser, vars(arguments))
     if arguments.command == "bench":
         arguments.options = _suite_options(parser, vars(arguments))

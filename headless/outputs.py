@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from ..core.errors import SceneError
@@ -30,6 +34,27 @@ def check_folder(path: Path) -> Path:
         raise OutputError(f"{str(nearest)!r} is a file, not a folder; choose another folder")
     _check_writable(nearest)
     return path
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A temporary folder beside `path`, whose files appear in `path` together when the block ends well, and not at all otherwise.
+
+    Raises:
+        OutputError: they cannot be written or moved.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
+        try:
+            yield temporary
+            path.mkdir(exist_ok=True)
+            for file in sorted(temporary.iterdir()):
+                os.replace(file, path / file.name)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+    except OSError as error:
+        raise OutputError(f"cannot write into {str(path)!r} ({error.strerror or error}); choose another folder") from error
 
 
 def _check_writable(folder: Path) -> None:

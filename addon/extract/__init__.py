@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import bpy
 
 from ...core.errors import SceneError
@@ -24,6 +26,7 @@ def extract_scene(
     frame: int | None = None,
     view_layer: bpy.types.ViewLayer | str | None = None,
     depsgraph: bpy.types.Depsgraph | None = None,
+    lightmaps: Mapping[str, str] | None = None,
 ) -> Scene:
     """A scene as a render sees it, in arrays.
 
@@ -32,19 +35,20 @@ def extract_scene(
     is used for rendering.
     depsgraph: the evaluation to read.  A render engine passes its own and must pass one; elsewhere
     leave it out, and the scene is evaluated as for a render.
+    lightmaps: for a bake, the UV map of each object by name; the result then has no camera, and none is needed.
 
     Raises:
         SceneError: no camera, one that cannot be rendered from, no pixels, or too much geometry.
     """
     if frame is not None and frame != scene.frame_current:
         scene.frame_set(frame)
-    eye = find_camera(scene, camera)
-    pixels = image_frame(scene, size)
-    warnings = camera_warnings(eye, scene)
+    eye = find_camera(scene, camera) if lightmaps is None else None
+    pixels = eye and image_frame(scene, size)
+    warnings = camera_warnings(eye, scene) if eye else []
     layer = _view_layer(scene, view_layer, depsgraph)
 
     def read(graph: bpy.types.Depsgraph):
-        return collect(graph), collect_lamps(graph), extract_camera(eye.evaluated_get(graph), pixels)
+        return collect(graph, lightmaps), collect_lamps(graph), eye and extract_camera(eye.evaluated_get(graph), pixels)
 
     found: Collected
     lamps: CollectedLamps
@@ -55,7 +59,8 @@ def extract_scene(
     compiled = compile_materials(_uses(found, graph))
     geometry, origin, dropped = assemble(found, compiled)
     world = extract_world(scene, layer, graph, rendering=depsgraph is not None)
-    view.matrix[:3, 3] -= origin
+    if view is not None:
+        view.matrix[:3, 3] -= origin
     return Scene(
         geometry=geometry,
         materials=compiled.materials,

@@ -15,7 +15,10 @@ from .meshes import MeshCopy
 
 @dataclass
 class Part:
-    """One instance of a mesh: where it is and what it wears (original data-blocks; None is an empty slot)."""
+    """One instance of a mesh: where it is and what it wears (original data-blocks; None is an empty slot).
+
+    lightmap: the layer of its mesh that a lightmap is to be baked on ('' for none).
+    """
 
     mesh: MeshCopy
     matrix: np.ndarray  # (4, 4) float64, mesh to world
@@ -26,6 +29,7 @@ class Part:
     random_id: int
     color: tuple[float, ...]
     pass_index: int
+    lightmap: str = ""
 
 
 @dataclass
@@ -62,6 +66,16 @@ def fill(out: np.ndarray, batch: Batch, materials: np.ndarray, compiled: Compile
             slot[:, where, :, :width] = values[:, where] if values.shape[1] > 1 else values
             if width < 4:
                 slot[:, where, :, 3] = 1
+
+
+def lightmap_uv(batch: Batch) -> np.ndarray:
+    """(n, T, 3, 2) float32 corners in the lightmaps of a batch; NaN for parts without."""
+    uv = np.full((len(batch.parts), len(batch.mesh.corners), 3, 2), np.nan, np.float32)
+    for target, part in zip(uv, batch.parts):
+        layer = batch.mesh.layers.get(part.lightmap)
+        if layer is not None:
+            target[:] = layer[..., :2]
+    return uv
 
 
 def _values(request: AttributeRequest, batch: Batch, compiled: CompiledMaterials) -> np.ndarray | None:

@@ -42,6 +42,19 @@ def overridden(target: Any, **values: Any) -> Iterator[None]:
             setattr(target, name, value)
 
 
+@contextmanager
+def _some_camera(scene: bpy.types.Scene) -> Iterator[None]:
+    """A camera for the time of a `with` block: Blender renders nothing without one, whatever the engine would look at."""
+    data = bpy.data.cameras.new("Lumigate")
+    camera = bpy.data.objects.new("Lumigate", data)
+    try:
+        with overridden(scene, camera=camera):
+            yield
+    finally:
+        bpy.data.objects.remove(camera)
+        bpy.data.cameras.remove(data)
+
+
 def in_render_depsgraph(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, work: Callable[[bpy.types.Depsgraph], Result]) -> Result:
     """`work(depsgraph)` with the render evaluation of the scene's present frame; its result.
 
@@ -64,6 +77,8 @@ def in_render_depsgraph(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer,
     bpy.utils.register_class(Probe)
     try:
         with ExitStack() as stack:
+            if scene.camera is None:
+                stack.enter_context(_some_camera(scene))
             stack.enter_context(overridden(scene.render, engine=Probe.bl_idname, **_SMALL))
             for layer in scene.view_layers:  # the operator's own argument for this renders the first one too
                 stack.enter_context(overridden(layer, use=layer == view_layer))

@@ -6,7 +6,7 @@ Two steps, because materials are compiled between them and must be outside of Bl
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import bpy
@@ -15,7 +15,7 @@ import numpy as np
 from ...core.errors import SceneError
 from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION, Geometry
 from ..materials import CompiledMaterials
-from .attributes import Batch, Part, fill, unit
+from .attributes import Batch, Part, fill, lightmap_uv, unit
 from .meshes import MeshCopy, copy_mesh, face_normals, layer_names
 
 # Coordinates beyond this are taken for invalid: their squares overflow float32.
@@ -69,12 +69,16 @@ def instance_visibility(instance: bpy.types.DepsgraphObjectInstance, view_layer:
     return visibility
 
 
-def collect(depsgraph: bpy.types.Depsgraph) -> Collected:
-    """Copy every mesh of an evaluated scene once, and list its instances."""
+def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None = None) -> Collected:
+    """Copy every mesh of an evaluated scene once, and list its instances.
+
+    lightmaps: the UV map of each object, by name, that a lightmap is to be baked on.
+    """
+    lightmaps = lightmaps or {}
     found = Collected()
     notes: dict[str, None] = {}  # an ordered set: one line for a thing, however often it is instanced
     meshes: dict[int, MeshCopy | None] = {}
-    wanted = layer_names()
+    wanted = layer_names() | set(lightmaps.values())
     view_layer = depsgraph.view_layer_eval
     override = view_layer.material_override
     for instance in depsgraph.object_instances:
@@ -102,6 +106,7 @@ def collect(depsgraph: bpy.types.Depsgraph) -> Collected:
                 random_id=instance.random_id & 0xFFFFFFFF if instance.is_instance else _hash(ob.name),
                 color=tuple(ob.color),
                 pass_index=ob.pass_index,
+                lightmap="" if instance.is_instance else lightmaps.get(ob.name, ""),
             )
         )
     found.warnings.extend(notes)
@@ -169,6 +174,7 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
         object=np.empty(total, np.int32),
         object_names=[part.name for part in parts],
         object_visibility=np.array([part.visibility for part in parts], np.uint8),
+        lightmap_uv=np.empty((total, 3, 2), np.float32) if any(part.lightmap for part in parts) else None,
     )
     world = np.empty((sum(vertex_counts), 3), np.float64)
     index = {material: i for i, material in enumerate(found.materials)}
@@ -197,6 +203,8 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
         material = slots[np.clip(mesh.slot, 0, len(slots) - 1)]
         geometry.material[triangles].reshape(n, -1)[:] = material
         geometry.object[triangles].reshape(n, -1)[:] = np.array(members, np.int32)[:, None]
+        if geometry.lightmap_uv is not None:
+            geometry.lightmap_uv[triangles].reshape(n, -1, 3, 2)[:] = lightmap_uv(batch)
         fill(geometry.attributes[:, triangles].reshape(-1, n, len(mesh.corners), 3, 4), batch, material, compiled)
         v, t = vertices.stop, triangles.stop
 
@@ -237,7 +245,8 @@ def _flip(geometry: Geometry, triangles: np.ndarray) -> None:
     """Swap two corners of the triangles: mirroring turned their winding, but not the side that Cycles calls the front."""
     if len(triangles):
         a, b = np.s_[triangles, 1], np.s_[triangles, 2]
-        for corners in (geometry.triangles, geometry.corner_normals, *geometry.attributes):
+        maps = () if geometry.lightmap_uv is None else (geometry.lightmap_uv,)
+        for corners in (geometry.triangles, geometry.corner_normals, *maps, *geometry.attributes):
             corners[a], corners[b] = corners[b], corners[a]
 
 
@@ -252,8 +261,9 @@ def _drop_invalid(geometry: Geometry, world: np.ndarray, broken: np.ndarray) -> 
     used = np.zeros(len(world), bool)
     used[geometry.triangles[~bad]] = True
     world[~used] = world[used][0] if used.any() else 0  # no triangle reads it; it must not stretch the bounds
-    for name in ("triangles", "corner_normals", "material", "object"):
-        setattr(geometry, name, getattr(geometry, name)[~bad])
+    for name in ("triangles", "corner_normals", "material", "object", "lightmap_uv"):
+        if getattr(geometry, name) is not None:
+            setattr(geometry, name, getattr(geometry, name)[~bad])
     geometry.attributes = np.ascontiguousarray(geometry.attributes[:, ~bad])
     return [
         f"'{geometry.object_names[i]}': {dropped[i]} triangles dropped, "

@@ -16,11 +16,19 @@ from ..console import Terminal
 from ..curves_bench import METRICS, OPPOSITE, curves_rows
 from ..fuzzy_bench import fuzzy_rows
 from ..kernel_bench import ray_rows
+from ..lightmap_bench import lightmap_rows
 from ..preview_bench import preview_rows
 from ..results import write_json
 
 # Keys as in `arguments.SUITES`.
-ROWS = {"kernels": ray_rows, "clustering": clustering_rows, "fuzzy": fuzzy_rows, "previews": preview_rows, "curves": curves_rows}
+ROWS = {
+    "kernels": ray_rows,
+    "clustering": clustering_rows,
+    "fuzzy": fuzzy_rows,
+    "previews": preview_rows,
+    "curves": curves_rows,
+    "lightmaps": lightmap_rows,
+}
 PICTURED = ("curves",)  # suites that leave pictures in DIR, too
 PACKAGES = ("bpy", "numpy", "numba", "llvmlite", "scipy", "embreex", "OpenImageIO")
 

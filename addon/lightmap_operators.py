@@ -1,0 +1,189 @@
+"""Baking of lightmaps, and the way back, as operators."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+import numpy as np
+
+from ..core.errors import SceneError
+from .lightmap_materials import original_of, set_up, take_down
+
+if TYPE_CHECKING:
+    from ..core.lightmaps import Lightmap
+    from .lightmaps import LightmapRequest, SceneLightmaps
+
+_PREFIX = "Lightmap "
+
+
+class BakeLightmaps(bpy.types.Operator):
+    """Bake the light on the surfaces of objects into images; missing UV maps are made beside those that are there"""
+
+    bl_idname = "lumigate.bake_lightmaps"
+    bl_label = "Bake Lightmaps"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Prepare, bake, load the images; what is wrong is reported in one line."""
+        # Numba takes a second to import: that belongs to the first bake, not to Blender's start.
+        from .lightmaps import prepare
+
+        scene, window = context.scene, context.window_manager
+        window.progress_begin(0, 100)
+
+        def progress(_stage: str, fraction: float) -> bool:
+            window.progress_update(100 * fraction)
+            return True
+
+        try:
+            objects = chosen_objects(scene)
+            if not objects:
+                self.report({"INFO"}, "No object has changed since its last bake")
+                return {"CANCELLED"}
+            baked = prepare(scene, objects, request_of(scene, objects)).run(progress)
+            load_lightmaps(scene, baked)
+        except SceneError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        finally:
+            window.progress_end()
+        for warning in baked.result.stats["warnings"]:
+            self.report({"WARNING"}, warning)
+        count = len(baked.result.lightmaps)
+        self.report({"INFO"}, f"{count} lightmap{'s' * (count > 1)}: {baked.result.stats['seconds_total']:.1f} s")
+        return {"FINISHED"}
+
+
+class BakeAttributes(bpy.types.Operator):
+    """Bake the light at the corners of faces into the colour attribute 'Lightmap' of the chosen objects' meshes"""
+
+    bl_idname = "lumigate.bake_attributes"
+    bl_label = "Bake Colour Attributes"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """What is wrong is reported in one line."""
+        from .lightmap_attributes import bake_attributes
+
+        scene = context.scene
+        try:
+            objects = chosen_objects(scene)
+            warnings = bake_attributes(scene, objects, request_of(scene, objects).bake) if objects else []
+        except SceneError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        for warning in warnings:
+            self.report({"WARNING"}, warning)
+        self.report({"INFO"}, f"{len(objects)} colour attribute{'s' * (len(objects) != 1)}")
+        return {"FINISHED"}
+
+
+class RestoreMaterials(bpy.types.Operator):
+    """Give every object the materials from before its lightmap was set up; the images stay"""
+
+    bl_idname = "lumigate.restore_materials"
+    bl_label = "Restore Materials"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """All objects of the scene, in one click."""
+        count = take_down(context.scene.objects)
+        self.report({"INFO"}, f"{count} object{'s' * (count != 1)} restored")
+        return {"FINISHED"}
+
+
+def chosen_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The objects that the scene's settings ask for; SceneError as `lightmaps.choose_objects`."""
+    from .lightmaps import choose_objects
+
+    settings = scene.lumigate_lightmaps
+    objects = choose_objects(scene, selected=settings.objects == "SELECTED")
+    return [ob for ob in objects if settings.objects != "CHANGED" or ob.lumigate_lightmap.stamp != stamp_of(ob)]
+
+
+def request_of(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> LightmapRequest:
+    """The request that the settings of the scene and its objects make."""
+    from .lightmaps import LightmapRequest
+
+    settings = scene.lumigate_lightmaps
+    return LightmapRequest(
+        bake=settings.bake_settings(scene.lumigate.as_settings()),
+        unwrap=settings.unwrapping(),
+        size=settings.size,
+        density=settings.density if settings.use_density else None,
+        densities={ob.name: ob.lumigate_lightmap.density for ob in objects if ob.lumigate_lightmap.density > 0},
+        atlas=settings.atlas,
+    )
+
+
+def load_lightmaps(scene: bpy.types.Scene, baked: SceneLightmaps) -> list[bpy.types.Image]:
+    """Write the lightmaps where the scene's settings say, load them, and show them on the objects if asked to."""
+    settings = scene.lumigate_lightmaps
+    images = []
+    for lightmap in baked.result.lightmaps:
+        image, scale = _loaded(lightmap, settings)
+        images.append(image)
+        for name in baked.objects[lightmap.name]:
+            ob = scene.objects[name]
+            take_down([ob])
+            ob.lumigate_lightmap.stamp = stamp_of(ob)
+            if settings.materials:
+                set_up(ob, image, baked.layer, settings.content, scale)
+    return images
+
+
+def _loaded(lightmap: Lightmap, settings: bpy.types.PropertyGroup) -> tuple[bpy.types.Image, float]:
+    """The image `Lightmap <name>` of this file, and what its values are to be multiplied by."""
+    from .lightmap_files import write_lightmap
+
+    with tempfile.TemporaryDirectory(dir=bpy.app.tempdir) as temporary:
+        folder = Path(temporary) if settings.packed else _folder(settings.folder)
+        written = write_lightmap(folder, lightmap, settings.content, settings.format)
+        image = bpy.data.images.load(str(folder / written["file"]))
+        if settings.packed:
+            image.pack()
+        elif bpy.data.filepath:
+            image.filepath = bpy.path.relpath(image.filepath)
+    before = bpy.data.images.get(_PREFIX + lightmap.name)
+    if before is not None:
+        before.user_remap(image)
+        bpy.data.images.remove(before)
+    image.name = _PREFIX + lightmap.name
+    return image, written["scale"]
+
+
+def _folder(chosen: str) -> Path:
+    """The folder for images on disk, made if missing."""
+    if chosen.startswith("//") and not bpy.data.filepath:
+        raise SceneError("the lightmaps' folder is relative to a file that is not saved yet: save it, choose another folder, or pack them")
+    folder = Path(bpy.path.abspath(chosen))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SceneError(f"cannot make the folder '{folder}' ({error.strerror}): choose another one for the lightmaps") from error
+    return folder
+
+
+def stamp_of(ob: bpy.types.Object) -> str:
+    """A hash of what an object is by itself: mesh, place, materials, size of its lightmap; not of the light around it."""
+    settings = ob.lumigate_lightmap
+    materials = [material.name for slot in ob.material_slots if (material := original_of(slot.material)) is not None]
+    digest = hashlib.sha256(
+        repr((settings.density, materials, [tuple(row) for row in ob.matrix_world], [m.name for m in ob.modifiers])).encode()
+    )
+    for values, name, width, dtype in (
+        (ob.data.vertices, "co", 3, np.float32),
+        (ob.data.loops, "vertex_index", 1, np.int32),
+        (ob.data.polygons, "material_index", 1, np.int32),
+    ):
+        array = np.empty(len(values) * width, dtype)
+        values.foreach_get(name, array)
+        digest.update(array.tobytes())
+    return digest.hexdigest()[:16]
+
+
+CLASSES = (BakeLightmaps, BakeAttributes, RestoreMaterials)

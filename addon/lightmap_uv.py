@@ -1,0 +1,164 @@
+"""UV maps for lightmaps: the one that an object has, or a new one beside those that it has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ..core.errors import SceneError
+
+LAYER = "Lightmap"
+MOST_LAYERS = 8  # of a mesh, Blender's own limit
+# Smart UV Project keeps charts large; Lightmap Pack lays every face out by itself, which can never overlap.
+UNWRAPPERS = ("smart", "pack")
+_ANGLE = np.radians(66)
+_WELL_FILLED = 0.4  # of the image's area
+
+
+@dataclass(frozen=True)
+class Unwrap:
+    """How UV maps are made where they are missing.
+
+    layer: name of the UV map.  method: one of `UNWRAPPERS`.  gap: between charts, of the image's side.
+    """
+
+    layer: str = LAYER
+    method: str = "smart"
+    gap: float = 0.01
+
+
+def ensure_uv(objects: Iterable[bpy.types.Object], unwrap: Unwrap) -> list[bpy.types.Mesh]:
+    """Give every mesh of the objects the UV map of `unwrap`, unless it has it; the meshes that got one.
+
+    What is selected or active, other UV maps, and which of them materials read, stay as they are.
+
+    Raises:
+        SceneError: a mesh cannot get one.
+    """
+    made = []
+    for ob in objects:
+        if unwrap.layer in ob.data.uv_layers:
+            continue
+        _check_editable(ob)
+        set_uv(ob.data, unwrap.layer, _unwrapped(ob, unwrap))
+        made.append(ob.data)
+    return made
+
+
+def set_uv(mesh: bpy.types.Mesh, name: str, uv: np.ndarray) -> None:
+    """Write the UV map `name`, (loops, 2), made if missing; which map is active, and which materials read, stays as it is."""
+    active, rendered = mesh.uv_layers.active, next((layer.name for layer in mesh.uv_layers if layer.active_render), None)
+    active = active and active.name
+    layer = mesh.uv_layers.get(name) or mesh.uv_layers.new(name=name, do_init=False)
+    layer.data.foreach_set("uv", np.ascontiguousarray(uv, np.float32).ravel())
+    if active is not None:
+        mesh.uv_layers.active = mesh.uv_layers[active]
+    if rendered is not None:
+        mesh.uv_layers[rendered].active_render = True
+
+
+def _check_editable(ob: bpy.types.Object) -> None:
+    mesh = ob.data
+    if mesh.library is not None:
+        raise SceneError(f"'{ob.name}' is linked from another file and has no UV map for a lightmap: make it local or unwrap it there")
+    if ob.mode == "EDIT":
+        raise SceneError(f"'{ob.name}' is being edited: leave Edit Mode first")
+    if len(mesh.uv_layers) >= MOST_LAYERS:
+        raise SceneError(f"'{ob.name}' has {MOST_LAYERS} UV maps already: remove one")
+
+
+def _unwrapped(ob: bpy.types.Object, unwrap: Unwrap) -> np.ndarray:
+    """(loops, 2) float32 UV coordinates of the object's mesh, true to its scale, that lie apart and fill the image well."""
+    faults = None
+    for gap in (unwrap.gap, unwrap.gap / 2, unwrap.gap / 4):  # where charts are many, wide gaps leave them no room
+        uv, used, found = _unwrapped_by(ob, unwrap.method, gap)
+        if found is not None:
+            faults = found
+            break
+        if used > _WELL_FILLED:
+            break
+    if faults is None:
+        return uv
+    uv, _, faults = _unwrapped_by(ob, "pack", unwrap.gap)
+    if faults is None:
+        return uv
+    raise SceneError(f"Blender cannot unwrap '{ob.name}' for a lightmap ({faults}): unwrap it by hand into a UV map '{unwrap.layer}'")
+
+
+def _unwrapped_by(ob: bpy.types.Object, method: str, gap: float) -> tuple[np.ndarray, float, str | None]:
+    """UV coordinates (loops, 2) by one of Blender's operators, on a copy; the share of the image that they use; what is unfit."""
+    with _lone_copy(ob) as copy:
+        mesh = copy.data
+        if method == "smart":
+            with _edit_mode(copy):
+                bpy.ops.uv.smart_project(angle_limit=_ANGLE, margin_method="FRACTION", island_margin=gap / 2, correct_aspect=False)
+        else:
+            bpy.ops.uv.lightmap_pack(PREF_CONTEXT="ALL_FACES", PREF_MARGIN_DIV=min(1.0, 50 * gap))
+    uv = np.empty((len(mesh.loops), 2), np.float32)
+    mesh.uv_layers[0].data.foreach_get("uv", uv.ravel())
+    mesh.calc_loop_triangles()
+    loops = np.empty((len(mesh.loop_triangles), 3), np.int32)
+    mesh.loop_triangles.foreach_get("loops", loops.ravel())
+    bpy.data.meshes.remove(mesh)
+    corners = uv[loops]
+    edges = corners[:, 1:] - corners[:, :1]
+    used = float(np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]).sum() / 2)
+    return uv, used, _faults(corners, ob.name)
+
+
+def _faults(corners: np.ndarray, name: str) -> str | None:
+    """What of UV coordinates (T, 3, 2) is unfit for a lightmap, None if nothing."""
+    from ..core.lightmaps import check_charts  # with Numba, which takes a second to import
+
+    try:
+        check_charts(corners, np.zeros(len(corners), np.int64), [name], LAYER)
+    except SceneError as error:
+        return str(error)
+    return None
+
+
+@contextmanager
+def _lone_copy(ob: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    """A selected copy of the object in a scene of its own, its mesh in metres with one UV map.
+
+    The mesh outlives the block; object and scene do not.
+    """
+    mesh = ob.data.copy()
+    mesh.materials.clear()
+    while mesh.uv_layers:
+        mesh.uv_layers.remove(mesh.uv_layers[-1])
+    mesh.uv_layers.new(name=LAYER)
+    linear = ob.matrix_world.to_3x3().to_4x4()
+    if abs(linear.determinant()) > 0:
+        mesh.transform(linear)
+    for name in (".hide_poly", ".hide_edge", ".hide_vert"):  # hidden faces are not unwrapped
+        if name in mesh.attributes:
+            mesh.attributes.remove(mesh.attributes[name])
+    scene = bpy.data.scenes.new("Lumigate")
+    copy = bpy.data.objects.new("Lumigate", mesh)
+    scene.collection.objects.link(copy)
+    layer = scene.view_layers[0]
+    layer.objects.active = copy
+    copy.select_set(True, view_layer=layer)
+    try:
+        with bpy.context.temp_override(scene=scene, view_layer=layer, object=copy, active_object=copy, selected_objects=[copy]):
+            yield copy
+    finally:
+        bpy.data.objects.remove(copy)
+        bpy.data.scenes.remove(scene)
+
+
+@contextmanager
+def _edit_mode(ob: bpy.types.Object) -> Iterator[None]:
+    """Edit Mode with every face selected."""
+    bpy.ops.object.mode_set(mode="EDIT")
+    try:
+        with bpy.context.temp_override(edit_object=ob):
+            bpy.ops.mesh.select_all(action="SELECT")
+            yield
+    finally:
+        bpy.ops.object.mode_set(mode="OBJECT")

@@ -1,0 +1,87 @@
+"""Texels that got no light of their own: what they take from their neighbours, so that no edge is black."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import convolve, distance_transform_edt
+
+from ..denoise import Denoiser, mean_factor
+from ..view.texels import HIDDEN, LIT
+
+STRAY = 6  # hidden neighbours, of 8, of a texel that is hidden itself, whatever its own few rays found
+_DEPTHS = (1.0, 0.5, 0.25)  # how far inside its chart a texel's mirror image lies, of its distance outside
+
+
+class Surroundings(NamedTuple):
+    """Where each texel of an image looks for light; arrays (H, W).
+
+    lit: bool, it has light of its own.  distance: to the nearest one that has, in texels.
+    nearest: int64, that one, row-major.  mirrored: int64, the texel as far inside the chart as this one is outside, where there is one.
+    """
+
+    lit: np.ndarray
+    distance: np.ndarray
+    nearest: np.ndarray
+    mirrored: np.ndarray
+
+
+def without_strays(state: np.ndarray) -> np.ndarray:
+    """`state` (H, W) uint8 of texels without single lit ones amid hidden ones."""
+    hidden = state == HIDDEN
+    if not hidden.any():
+        return state
+    around = convolve(hidden.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant")
+    return np.where((state == LIT) & (around >= STRAY), np.uint8(HIDDEN), state)
+
+
+def surroundings(state: np.ndarray) -> Surroundings:
+    """What `state` (H, W) uint8 of texels, at least one of them lit, says of their neighbours."""
+    height, width = state.shape
+    lit = state == LIT
+    distance, (row, column) = distance_transform_edt(~lit, return_indices=True)
+    nearest = row.astype(np.int64) * width + column
+    mirrored, flat = nearest.copy(), lit.ravel()
+    left = np.flatnonzero(~flat)
+    for depth in _DEPTHS:
+        y, x = left // width, left % width
+        ny, nx = nearest.flat[left] // width, nearest.flat[left] % width
+        my = np.clip(np.rint(ny + depth * (ny - y)).astype(np.int64), 0, height - 1)
+        mx = np.clip(np.rint(nx + depth * (nx - x)).astype(np.int64), 0, width - 1)
+        image = my * width + mx
+        inside = flat[image]
+        mirrored.flat[left[inside]] = image[inside]
+        left = left[~inside]
+    return Surroundings(lit, distance, nearest, mirrored)
+
+
+def extended(image: np.ndarray, state: np.ndarray, around: Surroundings, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """`image` (H, W, C) with all hidden texels and those within `margin` texels of a lit one filled, the rest zero.
+
+    Returns the image and where it holds light, (H, W) bool.
+    """
+    filled = (around.distance <= margin) | (state == HIDDEN)
+    return np.where(filled[..., None], _taken(image, around.nearest), np.float32(0)), filled
+
+
+def denoised(
+    irradiance: np.ndarray, normal: np.ndarray, position: np.ndarray, around: Surroundings, denoiser: Denoiser, threads: int
+) -> np.ndarray:
+    """`irradiance` (H, W, 3) without noise where texels are lit, its mean kept.
+
+    Charts are mirrored about their edges first: a black gutter would darken them, and one filled with streaks of a colour would
+    look like a pattern to be kept.  Normals (H, W, 3) tell the denoiser where one chart ends and another begins; positions (m) are
+    for the blur that stands in for it.
+    """
+    if not irradiance[around.lit].any():
+        return irradiance
+    color, normal, position = (_taken(image, around.mirrored) for image in (irradiance, normal, position))
+    clean = denoiser.denoise(color, np.full_like(color, 0.5), normal, position=position, threads=threads)
+    factor = mean_factor(irradiance[around.lit][None], clean[around.lit][None])
+    return np.where(around.lit[..., None], clean * factor, np.float32(0))
+
+
+def _taken(image: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """`image` (H, W, C) with each texel replaced by the one `at` (H, W)."""
+    return image.reshape(-1, image.shape[-1])[at]

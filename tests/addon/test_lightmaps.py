@@ -1,0 +1,294 @@
+"""Lightmaps in Blender: UV maps beside those that are there, objects that are refused, materials and the way back, the operators."""
+
+import bpy
+import numpy as np
+import pytest
+
+import lumigate
+from lumigate.addon.lightmap_atlas import ATLAS_LAYER, placed
+from lumigate.addon.lightmap_materials import set_up, take_down
+from lumigate.addon.lightmap_operators import chosen_objects
+from lumigate.addon.lightmap_uv import LAYER, Unwrap, ensure_uv
+from lumigate.addon.lightmaps import LightmapRequest, bake_scene, choose_objects, prepare
+from lumigate.core.errors import SceneError
+from lumigate.core.lightmaps import check_charts
+from lumigate.core.settings import BakeSettings, RenderSettings
+
+QUICK = BakeSettings(RenderSettings(vpls=64, bounces=1, samples=1, gather=1, direct_samples=1), texel_samples=1)
+
+
+@pytest.fixture
+def scene():
+    """A lamp over a floor with two boxes that share a mesh; no camera."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    material = bpy.data.materials.new("Paint")
+    if material.node_tree is None:
+        material.use_nodes = True
+    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.2, 0.5, 0.8, 1)
+    bpy.ops.mesh.primitive_plane_add(size=4)
+    bpy.context.object.name = "Floor"
+    bpy.ops.mesh.primitive_cube_add(size=1, location=(-1, 0, 0.5))
+    box = bpy.context.object
+    box.name = "Box"
+    box.data.materials.append(material)
+    other = bpy.data.objects.new("Other box", box.data)
+    other.location, other.scale = (1, 0, 0.5), (1, 1, 1)
+    scene.collection.objects.link(other)
+    lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp.location, lamp.data.energy = (0, 0, 3), 100
+    scene.collection.objects.link(lamp)
+    bpy.context.view_layer.update()
+    return scene
+
+
+@pytest.fixture
+def registered():
+    lumigate.register()
+    yield
+    lumigate.unregister()
+    bpy.ops.wm.read_factory_settings(use_empty=True)  # later tests find no settings of these
+
+
+def corner_uvs(mesh, layer):
+    """(T, 3, 2) of a mesh's triangles."""
+    mesh.calc_loop_triangles()
+    loops = np.empty((len(mesh.loop_triangles), 3), np.int32)
+    mesh.loop_triangles.foreach_get("loops", loops.ravel())
+    uv = np.empty((len(mesh.loops), 2), np.float32)
+    mesh.uv_layers[layer].data.foreach_get("uv", uv.ravel())
+    return uv[loops]
+
+
+@pytest.mark.parametrize("method", ["smart", "pack"])
+def test_uv_maps_are_made_beside_those_that_are_there(scene, method):
+    box = scene.objects["Box"]
+    before = corner_uvs(box.data, "UVMap")
+    box.select_set(False)
+    bpy.context.view_layer.objects.active = scene.objects["Floor"]
+    counts = {name: len(getattr(bpy.data, name)) for name in ("scenes", "objects", "meshes", "materials")}
+
+    made = ensure_uv([box, scene.objects["Other box"]], Unwrap(method=method))
+
+    assert made == [box.data]
+    assert [layer.name for layer in box.data.uv_layers] == ["UVMap", LAYER]
+    assert box.data.uv_layers.active.name == "UVMap" and box.data.uv_layers["UVMap"].active_render
+    assert np.array_equal(corner_uvs(box.data, "UVMap"), before)
+    assert bpy.context.view_layer.objects.active.name == "Floor" and not box.select_get() and box.mode == "OBJECT"
+    assert {name: len(getattr(bpy.data, name)) for name in counts} == counts
+    uv = corner_uvs(box.data, LAYER)
+    check_charts(uv, np.zeros(len(uv), int), ["Box"], LAYER)
+    assert ensure_uv([box], Unwrap(method=method)) == []
+
+
+def test_charts_have_the_scale_of_the_object(scene):
+    floor = scene.objects["Floor"]
+    floor.scale = (1, 0.25, 1)
+    bpy.context.view_layer.update()
+    ensure_uv([floor], Unwrap())
+    extent = np.ptp(corner_uvs(floor.data, LAYER).reshape(-1, 2), axis=0)
+    assert max(extent) / min(extent) == pytest.approx(4, rel=0.05)
+
+
+def test_an_overlapping_map_is_refused_before_any_ray(scene):
+    box = scene.objects["Box"]
+    layer = box.data.uv_layers.new(name=LAYER)
+    layer.data.foreach_set("uv", np.tile([0, 0, 1, 0, 1, 1, 0, 1], 6).astype(np.float32))
+    with pytest.raises(SceneError, match="'Box': faces overlap in UV map 'Lightmap'"):
+        prepare(scene, [box], LightmapRequest(QUICK))
+    layer.data.foreach_set("uv", np.tile([0, 0, 3, 0, 3, 3, 0, 3], 6).astype(np.float32))
+    with pytest.raises(SceneError, match=r"'Box': .* outside of 0\.\.1"):
+        prepare(scene, [box], LightmapRequest(QUICK))
+
+
+def test_modifiers_that_repeat_the_map_are_refused(scene):
+    floor = scene.objects["Floor"]
+    floor.modifiers.new("Array", "ARRAY")
+    with pytest.raises(SceneError, match="'Floor': faces overlap"):
+        prepare(scene, [floor], LightmapRequest(QUICK))
+
+
+def test_objects_are_chosen_by_name_by_selection_or_all(scene):
+    assert [ob.name for ob in choose_objects(scene)] == ["Box", "Floor", "Other box"]
+    for ob in scene.objects:
+        ob.select_set(ob.name == "Floor")
+    assert [ob.name for ob in choose_objects(scene, selected=True)] == ["Floor"]
+    assert [ob.name for ob in choose_objects(scene, ["Other box"])] == ["Other box"]
+    for name, words in (("Chair", "its meshes are: Box, Floor"), ("Lamp", "no faces")):
+        with pytest.raises(SceneError, match=words):
+            choose_objects(scene, [name])
+    scene.objects["Floor"].hide_render = True
+    with pytest.raises(SceneError, match="hidden from renders"):
+        choose_objects(scene, ["Floor"])
+
+
+def test_images_have_the_size_that_the_density_asks_for(scene):
+    floor, box = scene.objects["Floor"], scene.objects["Box"]
+    request = LightmapRequest(QUICK, density=8, densities={"Box": 16})
+    prepared = prepare(scene, [floor, box], request)
+    density = {}
+    for target in prepared.targets:
+        corners = prepared.arrays.geometry.vertices[prepared.arrays.geometry.triangles[target.triangles[0]]]
+        texels = target.uv[0] * target.size
+        density[target.name] = np.linalg.norm(texels[1] - texels[0]) / np.linalg.norm(corners[1] - corners[0])
+    assert density["Floor"] == pytest.approx(8, rel=0.15)
+    assert density["Box"] == pytest.approx(16, rel=0.15)
+
+
+def test_an_atlas_holds_every_object_in_a_place_of_its_own(scene):
+    baked = bake_scene(scene, choose_objects(scene), LightmapRequest(QUICK, size=96, atlas=True))
+    assert [lightmap.name for lightmap in baked.result.lightmaps] == ["Lightmap"]
+    assert baked.layer == ATLAS_LAYER and baked.objects == {"Lightmap": ["Box", "Floor", "Other box"]}
+    assert scene.objects["Box"].data != scene.objects["Other box"].data  # one place each, so one mesh each
+    uv = np.concatenate([corner_uvs(ob.data, ATLAS_LAYER) for ob in choose_objects(scene)])
+    check_charts(uv, np.zeros(len(uv), int), ["all"], ATLAS_LAYER)
+    image = baked.result.lightmaps[0].image
+    assert image.shape == (96, 96, 3) and image[baked.result.lightmaps[0].state == 2].mean() > 0
+
+
+def test_squares_are_placed_apart_or_not_at_all():
+    sides = np.array([4.0, 2.0, 2.0, 1.0, 3.0])
+    squares = placed(sides, 5.0, 64, 2)
+    for i, (x, y, side) in enumerate(squares):
+        assert side == sides[i] * 5 and min(x, y) >= 2 and max(x, y) + side <= 62
+        for px, py, other in squares[:i]:
+            assert x + side + 2 <= px or px + other + 2 <= x or y + side + 2 <= py or py + other + 2 <= y
+    assert placed(sides, 20.0, 64, 2) is None
+
+
+def test_a_floor_is_lit_as_the_closed_form_says(scene):
+    # A point lamp of 100 W: irradiance Phi cos / (4 pi r^2), 3 m below it.
+    for name in ("Box", "Other box"):
+        scene.objects[name].hide_render = True
+    settings = BakeSettings(RenderSettings(vpls=64, bounces=0, direct_samples=16), texel_samples=1)
+    scene.objects["Lamp"].data.shadow_soft_size = 0
+    lightmap = bake_scene(scene, [scene.objects["Floor"]], LightmapRequest(settings, size=33)).result.lightmaps[0]
+    assert lightmap.image[15:18, 15:18].mean() == pytest.approx(100 / (4 * np.pi) / 9 / np.pi * np.pi, rel=0.02)
+
+
+def state_of(scene):
+    """What of the scene's materials a user would miss."""
+    return [
+        (ob.name, ob.data.name, [(slot.material and slot.material.name, slot.link) for slot in ob.material_slots], len(ob.data.materials))
+        for ob in scene.objects
+        if ob.type == "MESH"
+    ] + sorted(material.name for material in bpy.data.materials)
+
+
+@pytest.mark.parametrize("content", ["full", "irradiance", "indirect"])
+def test_materials_are_set_up_and_given_back(scene, content):
+    before = state_of(scene)
+    image = bpy.data.images.new("Light", 4, 4, float_buffer=True)
+    objects = choose_objects(scene)
+    for _ in range(2):  # again over the first time
+        for ob in objects:
+            set_up(ob, image, LAYER, content, 2.0)
+    for ob in objects:
+        tree = ob.material_slots[0].material.node_tree
+        texture = next(node for node in tree.nodes if node.type == "TEX_IMAGE")
+        assert texture.image == image and texture.inputs["Vector"].links[0].from_node.uv_map == LAYER
+        assert tree.get_output_node("ALL").inputs["Surface"].is_linked
+    assert bpy.data.materials["Paint"].users > 0
+    assert take_down(scene.objects) == 3
+    assert state_of(scene) == before
+    assert take_down(scene.objects) == 0
+
+
+def test_lightmapped_materials_shine_as_baked(scene):
+    # An irradiance of pi on albedo (.2, .5, .8) is a radiance of just that.
+    image = bpy.data.images.new("Light", 4, 4, float_buffer=True)
+    image.pixels.foreach_set(np.full(64, np.pi, np.float32))
+    box = scene.objects["Box"]
+    ensure_uv([box], Unwrap())
+    set_up(box, image, LAYER, "irradiance")
+    tree = box.material_slots[0].material.node_tree
+    shader = tree.get_output_node("ALL").inputs["Surface"].links[0].from_node
+    product = shader.inputs["Emission Color"].links[0].from_node
+    assert tuple(product.inputs[1].default_value) == pytest.approx((0.2, 0.5, 0.8))
+    assert shader.inputs["Emission Strength"].default_value == pytest.approx(1 / np.pi)
+
+
+def quick(scene):
+    """Settings for a bake of a moment."""
+    settings = scene.lumigate_lightmaps
+    settings.size, settings.texel_samples, settings.objects = 24, 1, "ALL"
+    scene.lumigate.vpls, scene.lumigate.bounces = 64, 1
+    return settings
+
+
+def test_operator_bakes_loads_and_restores(registered, scene):
+    before = state_of(scene)
+    settings = quick(scene)
+    assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+    image = bpy.data.images["Lightmap Floor"]
+    assert image.packed_file is not None and tuple(image.size) == (24, 24)
+    pixels = np.empty(24 * 24 * image.channels, np.float32)
+    image.pixels.foreach_get(pixels)
+    assert pixels.reshape(24, 24, -1)[12, 12, 0] > 0.1
+    assert scene.objects["Floor"].material_slots[0].material.name.startswith("Material lightmap")
+    settings.objects = "CHANGED"
+    assert chosen_objects(scene) == []
+    assert bpy.ops.lumigate.bake_lightmaps() == {"CANCELLED"}
+    scene.objects["Box"].location.x -= 0.1
+    bpy.context.view_layer.update()
+    assert [ob.name for ob in chosen_objects(scene)] == ["Box"]
+    assert bpy.ops.lumigate.restore_materials() == {"FINISHED"}
+    assert state_of(scene) == before
+
+
+def test_operator_writes_to_disk(registered, scene, tmp_path):
+    settings = quick(scene)
+    settings.packed, settings.folder, settings.format, settings.atlas, settings.content = False, str(tmp_path / "maps"), "png", True, "full"
+    assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+    assert [path.name for path in (tmp_path / "maps").iterdir()] == ["Lightmap.png"]
+    image = bpy.data.images["Lightmap Lightmap"]
+    assert image.packed_file is None and image.colorspace_settings.name == "sRGB"
+
+
+def test_operator_reports_what_is_wrong_in_one_line(registered, scene):
+    quick(scene).objects = "SELECTED"
+    for ob in scene.objects:
+        ob.select_set(False)
+    with pytest.raises(RuntimeError, match="no mesh object is selected"):
+        bpy.ops.lumigate.bake_lightmaps()
+    settings = quick(scene)
+    settings.packed, settings.folder = False, "//maps"
+    with pytest.raises(RuntimeError, match="not saved yet"):
+        bpy.ops.lumigate.bake_lightmaps()
+
+
+def test_light_at_corners_becomes_a_colour_attribute(registered, scene):
+    # A point lamp of 100 W, 3 m above the middle of a floor of 4 m in 8 x 8 faces: irradiance 100 cos^3 / (4 pi^2 9) at its vertices.
+    for name in ("Box", "Other box"):
+        bpy.data.objects.remove(scene.objects[name])
+    bpy.data.objects.remove(scene.objects["Floor"])
+    bpy.ops.mesh.primitive_grid_add(size=4, x_subdivisions=8, y_subdivisions=8)
+    floor = bpy.context.object
+    floor.scale.x = -1
+    floor.data.color_attributes.new("Painted", "BYTE_COLOR", "POINT")
+    scene.objects["Lamp"].data.shadow_soft_size = 0
+    settings = quick(scene)
+    settings.texel_samples, scene.lumigate.bounces = 4, 0
+
+    assert bpy.ops.lumigate.bake_attributes() == {"FINISHED"}
+
+    colors = floor.data.color_attributes
+    assert [(layer.name, layer.domain) for layer in colors] == [("Painted", "POINT"), ("Lightmap", "CORNER")]
+    assert colors[colors.render_color_index].name == "Painted"
+    values = np.empty((len(floor.data.loops), 4), np.float32)
+    colors["Lightmap"].data.foreach_get("color", values.ravel())
+    places = np.array([floor.data.vertices[loop.vertex_index].co for loop in floor.data.loops])
+    inside = np.abs(places).max(axis=1) < 1.9
+    expected = 100 / (4 * np.pi) * 3 / (9 + (places**2).sum(axis=1)) ** 1.5
+    np.testing.assert_allclose(values[inside, 0], expected[inside], rtol=0.05)
+
+
+def test_attributes_are_refused_where_a_mesh_is_shared_or_modified(scene):
+    from lumigate.addon.lightmap_attributes import bake_attributes
+
+    with pytest.raises(SceneError, match="'Box' shares its mesh"):
+        bake_attributes(scene, [scene.objects["Box"]], QUICK)
+    scene.objects["Floor"].modifiers.new("Array", "ARRAY")
+    with pytest.raises(SceneError, match="'Floor' has other faces"):
+        bake_attributes(scene, [scene.objects["Floor"]], QUICK)
+    assert not scene.objects["Floor"].data.color_attributes
