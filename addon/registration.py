@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import bpy
 
-from . import operators, panels, properties
+from . import compat, engine, job, operators, panels, passes, properties, state
 
-# Each module lists its CLASSES; properties first, for the others show them.
-CLASSES = (*properties.CLASSES, *operators.CLASSES, *panels.CLASSES)
+# Properties first, for the others show them; each module lists its CLASSES.
+MODULES = (properties, passes, state, engine, operators, panels)
+# What is hung onto Blender's own types, once the classes are there.
+ATTACHED = (properties, passes, state, compat)
 
 
 def register() -> None:
-    """Register every class, then the settings of each scene; an error undoes what was done before it."""
-    done = []
+    """Register every class, then attach the rest; an error undoes what was done before it."""
+    undo: list[Callable[[], None]] = []
     try:
-        for cls in CLASSES:
+        for cls in (cls for module in MODULES for cls in module.CLASSES):
             bpy.utils.register_class(cls)
-            done.append(cls)
-        properties.attach()
+            undo.append(partial(bpy.utils.unregister_class, cls))
+        for module in ATTACHED:
+            module.attach()
+            undo.append(module.detach)
     except Exception:
-        for cls in reversed(done):
-            bpy.utils.unregister_class(cls)
+        for step in reversed(undo):
+            step()
         raise
 
 
 def unregister() -> None:
-    """Leave nothing behind."""
-    properties.detach()
-    for cls in reversed(CLASSES):
+    """Leave nothing behind, no thread either."""
+    job.end_all()
+    for module in reversed(ATTACHED):
+        module.detach()
+    for cls in (cls for module in reversed(MODULES) for cls in reversed(module.CLASSES)):
         bpy.utils.unregister_class(cls)

@@ -52,7 +52,7 @@ def extract_scene(
     if depsgraph is None:
         layer.update()
     graph = depsgraph if depsgraph is not None else layer.depsgraph
-    compiled = compile_materials(_uses(found, graph))
+    compiled = compile_materials(_uses(found, graph), may_bake=depsgraph is None)
     geometry, origin, dropped = assemble(found, compiled)
     world = extract_world(scene, layer, graph, rendering=depsgraph is not None)
     view.matrix[:3, 3] -= origin

@@ -151,7 +151,7 @@ def _rendered(scene: bpy.types.Scene, world: bpy.types.World, tree: bpy.types.No
     """The panorama and suns of any world, from the cache or by Cycles."""
     widths = [node.image.size[0] for node in tree.nodes if node.type == "TEX_ENVIRONMENT" and node.image is not None]
     width = min(max([_WIDTH, *widths]), _MAX_WIDTH)
-    stored = _cache_folder() / f"{fingerprint(tree, width)}.npz"
+    stored = cache_folder() / f"{fingerprint(tree, width)}.npz"
     with suppress(OSError, ValueError, KeyError), np.load(stored) as kept:  # a damaged file is rendered again
         return kept["radiance"], unpack_suns(kept["suns"])
     render = render_panorama_apart if rendering else render_panorama
@@ -164,7 +164,8 @@ def _rendered(scene: bpy.types.Scene, world: bpy.types.World, tree: bpy.types.No
     return radiance, suns
 
 
-def _cache_folder() -> Path:
+def cache_folder() -> Path:
+    """Where they are kept from one run to the next."""
     return Path(platformdirs.user_cache_dir("lumigate")) / "worlds"
 
 
