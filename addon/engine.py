@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import bpy
 
 from ..core.errors import SceneError
 from .job import Job, render_job
 from .passes import COMBINED, hand_over, register_passes
+
+if TYPE_CHECKING:
+    from .viewport import Viewport
 
 _POLL = 0.03  # seconds between two looks at Esc
 
@@ -42,6 +46,23 @@ class LumigateEngine(bpy.types.RenderEngine):
             raise job.error
         else:
             self._deliver(job, depsgraph)
+
+    def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Called by Blender when what a rendered viewport shows has changed."""
+        self._shown().update()
+
+    def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Called by Blender to draw a rendered viewport."""
+        self._shown().draw(self, context, depsgraph)
+
+    def _shown(self) -> Viewport:
+        """The pictures of this engine's region."""
+        if "viewport" not in self.__dict__:
+            # Drawing needs a window, which not every Blender has.
+            from .viewport import Viewport
+
+            self.viewport = Viewport()
+        return self.viewport
 
     def _begin(self, depsgraph: bpy.types.Depsgraph) -> Job:
         """Read Blender's data here, where it may be read, and start the rest."""

@@ -83,11 +83,15 @@ def render_job(
 
     def work(advance: Callable[[str, float], bool]) -> Any:
         # Numba takes a second to import: that belongs to the first render, not to Blender's start.
+        from ..core.jit import CompileWatch
         from ..core.pipeline import render
 
-        return afterwards(render(scene, settings, advance, extraction_seconds=extraction_seconds))
+        with CompileWatch() as watch:
+            progress.watch(lambda: watch.compiling)
+            return afterwards(render(scene, settings, advance, extraction_seconds=extraction_seconds))
 
-    return Job(work, Progress(settings.time_budget, open_end=settings.target_error is not None))
+    progress = Progress(settings.time_budget, open_end=settings.target_error is not None)
+    return Job(work, progress)
 
 
 def cancel_all() -> None:

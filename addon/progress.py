@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 # Share of each stage of a pass in its time, in the order in which they run.
 _SHARES = {
@@ -41,9 +42,14 @@ class Progress:
     def __init__(self, time_budget: float | None = None, *, open_end: bool = False):
         self.fraction = 0.0
         self._label = "starting"
+        self._compiling: Callable[[], bool] = lambda: False
         self._budget = time_budget
         self._open_end = open_end
         self._begin = time.perf_counter()
+
+    def watch(self, compiling: Callable[[], bool]) -> None:
+        """Ask this whether code is being compiled: that happens once on a machine, and takes longer than most renders."""
+        self._compiling = compiling
 
     def advance(self, stage: str, fraction: float) -> None:
         """The work is at `fraction` (0..1) of `stage`."""
@@ -68,6 +74,8 @@ class Progress:
 
     def __str__(self) -> str:
         """One line for a status bar."""
+        if self._compiling():
+            return f"{self._label}: compiling, this once"
         left = self.seconds_left
         return self._label if left is None else f"{self._label}, {_clock(left)} left"
 
