@@ -98,7 +98,7 @@ class LumigateEngine(bpy.types.RenderEngine):
         self.update_stats("", f"Lumigate: {stats['method']}, {stats['seconds_total']:.1f} s")
 
     def _refuse(self, error: SceneError) -> None:
-        """Say what is wrong with the scene when the render has ended."""
+        """Say what is wrong with the scene: to whoever has started the render, and above the picture that there is not."""
         self.report({"ERROR"}, str(error))
         self.error_set(str(error))
 

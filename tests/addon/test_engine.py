@@ -6,8 +6,10 @@ import pytest
 
 import lumigate
 from lumigate import sample_scenes
+from lumigate.addon import engine
 from lumigate.addon.engine import LumigateEngine
 from lumigate.addon.extract import extract_scene
+from lumigate.addon.job import Job
 from lumigate.core.layers import CONTRACT, read_exr
 from lumigate.core.pipeline import render
 
@@ -107,22 +109,20 @@ def test_an_animation_renders_every_frame(scene, tmp_path):
     assert not np.array_equal(frames[0]["Depth"], frames[1]["Depth"])
 
 
-def test_esc_leaves_an_empty_picture_and_no_thread(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(LumigateEngine, "test_break", lambda self: True, raising=False)
+def test_a_cancelled_render_hands_nothing_over(scene, monkeypatch):
+    def cancelled_at_once(*_arguments, **_options):
+        job = Job(lambda advance: advance("view", 0.5))
+        job.cancel()
+        return job
+
     handed = []
-    monkeypatch.setattr("lumigate.addon.engine.hand_over", lambda *given: handed.append(given))
+    monkeypatch.setattr(engine, "render_job", cancelled_at_once)
+    monkeypatch.setattr(engine, "hand_over", lambda *given: handed.append(given))
     bpy.ops.render.render()
     assert not handed
-    from lumigate.addon import job
-
-    job.end_all()
-    assert not job._running
 
 
-def test_a_scene_that_cannot_be_rendered_is_refused_in_one_line(scene, monkeypatch):
+def test_a_scene_that_cannot_be_rendered_is_refused_in_one_line(scene):
     scene.camera.data.type = "PANO"
-    said = []
-    monkeypatch.setattr(LumigateEngine, "error_set", lambda self, message: said.append(message), raising=False)
-    with pytest.raises(RuntimeError, match="perspective and orthographic"):
+    with pytest.raises(RuntimeError, match=f"'{scene.camera.name}' .* only perspective and orthographic"):
         bpy.ops.render.render()
-    assert len(said) == 1 and scene.camera.name in said[0]
