@@ -163,6 +163,8 @@ class AddIndirectLight(NeedsCamera, JobOperator, bpy.types.Operator):
         image = load_layers(path)
         if self.wire:
             wire(context.scene, image, context.view_layer.name)
+        left_out = [f"{found['stage']}: {found['reason']}" for found in stats["skipped"]]
+        context.window_manager.lumigate.report(context.scene, left_out, stats["warnings"])
         for warning in stats["warnings"]:
             self.report({"WARNING"}, warning)
         self.report({"INFO"}, f"{IMAGE_NAME}: {stats['method']}, {stats['seconds_total']:.1f} s")

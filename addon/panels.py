@@ -51,7 +51,7 @@ class RenderPanel(_RenderPanel, bpy.types.Panel):
         if context.engine == LumigateEngine.bl_idname:
             layout.operator("render.render", text="Render Image", icon="RENDER_STILL")
         else:
-            layout.label(text=f"For a render by {context.engine.title()}:")
+            layout.label(text=f"For a render by {context.engine.replace('_', ' ').title()}:")
         column = layout.column(align=True)
         column.operator_context = "INVOKE_DEFAULT"
         column.operator(ops.AddIndirectLight.bl_idname, icon="LIGHT").wire = False

@@ -13,6 +13,7 @@ import bpy
 OUT = "/run/gui/out"
 FRAME = 0.02  # seconds between two looks at the window
 PATIENCE = 400.0  # seconds for a first render, which compiles
+SOON = 30.0  # seconds for the window to do as it is told
 
 
 class Session:
@@ -28,7 +29,7 @@ class Session:
     def scene(self):
         return bpy.context.window_manager.windows[0].scene
 
-    def until(self, done, name):
+    def until(self, done, name, patience=PATIENCE):
         """Wait till `done()`; what it took, and the longest that the window stood still meanwhile."""
         begin = last = time.time()
         still = 0.0
@@ -36,7 +37,7 @@ class Session:
             yield FRAME
             now = time.time()
             still, last = max(still, now - last - FRAME), now
-            if now - begin > PATIENCE:
+            if now - begin > patience:
                 raise TimeoutError(name)
         self.found[name] = {"seconds": time.time() - begin, "window_still": still}
 
@@ -47,8 +48,9 @@ class Session:
         return area
 
     def point_at(self, area):
-        """The pointer goes over an area, where keys will be read."""
-        self.gui.move(*self.gui.to_screen(area.x + area.width // 2, area.y + area.height // 2))
+        """The pointer goes over an area, where keys will be read; a click gives the window the keyboard."""
+        self.gui.click(*self.gui.to_screen(area.x + area.width // 4, area.y + area.height // 4))
+        yield 0.8
 
     def press(self, idname):
         """Click the button of an operator in the properties."""
@@ -84,9 +86,9 @@ def render_by_key(session):
     """F12, twice: the first one compiles."""
     gui = session.gui
     for name in ("first_render", "render"):
-        session.point_at(gui.area("VIEW_3D")[1])
+        yield from session.point_at(gui.area("VIEW_3D")[1])
         gui.key("F12")
-        yield from session.until(rendering, f"{name}_begins")
+        yield from session.until(rendering, f"{name}_begins", SOON)
         yield from session.until(lambda: not rendering(), name)
     area = session.show("IMAGE_EDITOR")
     area.spaces.active.image = bpy.data.images["Render Result"]
@@ -141,7 +143,7 @@ def escapes(session):
     scene.render.resolution_percentage, scene.lumigate.quality = 300, "FINAL"
     took = []
     for moment in (0.3, 0.8, 1.5, 2.5, 4.0, 6.0, 8.0):
-        session.point_at(gui.area("VIEW_3D")[1])
+        yield from session.point_at(gui.area("VIEW_3D")[1])
         with bpy.context.temp_override(**gui.override("VIEW_3D")):
             bpy.ops.render.render("INVOKE_DEFAULT")
         begin = time.time()
