@@ -13,7 +13,10 @@ from lumigate.addon import operators
 from lumigate.addon.compositor import GROUP_NAME, NODE_NAME
 from lumigate.addon.image_layers import IMAGE_NAME, full_frame, load_layers, write_layers
 from lumigate.addon.job import Job
+from lumigate.core.denoise import Denoiser
 from lumigate.core.layers import Layers, read_exr
+from lumigate.core.pipeline import render
+from lumigate.core.threads import Cancelled
 
 SIZE = 32, 24
 
@@ -137,6 +140,15 @@ def test_a_file_loaded_during_a_job_gets_nothing_of_it(scene):
     assert job.wait(60)
     assert job.error is None
     assert IMAGE_NAME not in bpy.data.images
+
+
+def test_a_cancelled_render_lets_go_of_the_denoiser(scene, monkeypatch):
+    closed = []
+    monkeypatch.setattr(Denoiser, "close", lambda self: closed.append(self))
+    arrays, _ = operators._extracted(bpy.context)
+    with pytest.raises(Cancelled):
+        render(arrays, scene.lumigate.as_settings(), lambda _stage, _fraction: False)
+    assert len(closed) == 1
 
 
 def test_a_scene_error_is_reported_in_one_line(scene):
