@@ -126,9 +126,12 @@ class NeedsCamera:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A camera is needed."""
+        """A camera is needed, and no render under way: the scene is evaluated by one."""
         if context.scene.camera is None:
             cls.poll_message_set("The scene has no camera")
+            return False
+        if bpy.app.is_job_running("RENDER"):
+            cls.poll_message_set("A render is running")
             return False
         return True
 

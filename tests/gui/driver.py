@@ -11,6 +11,7 @@ import time
 import bpy
 
 OUT = "/run/gui/out"
+F12 = "96"  # the key's code: by its name, xdotool presses Alt, too
 FRAME = 0.02  # seconds between two looks at the window
 PATIENCE = 400.0  # seconds for a first render, which compiles
 SOON = 30.0  # seconds for the window to do as it is told
@@ -87,7 +88,7 @@ def render_by_key(session):
     gui = session.gui
     for name in ("first_render", "render"):
         yield from session.point_at(gui.area("VIEW_3D")[1])
-        gui.key("F12")
+        gui.key(F12)
         yield from session.until(rendering, f"{name}_begins", SOON)
         yield from session.until(lambda: not rendering(), name)
     area = session.show("IMAGE_EDITOR")
