@@ -178,7 +178,8 @@ def run(code: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray
     rows, surface = ops.new_registers(tables), np.zeros(SURFACE, np.float32)
     f = np.float32
     attributes = np.zeros((1, 1, 3, 4), np.float32)
-    ops.evaluate(tables, np.int32(0), attributes, np.int32(0), f(0), f(0), f(ops.MEAN_VIEW), rows, surface)
+    # What `ops.evaluate` inlines: called from Python, that would be compiled anew in every session.
+    ops._run(tables, 0, attributes, np.int32(0), f(0), f(0), f(ops.MEAN_VIEW), rows, surface)
     return rows, surface
 
 
