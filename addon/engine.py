@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import bpy
 
 from ..core.errors import SceneError
-from .job import Job, render_job
+from .job import Job, loading, render_job
 from .passes import COMBINED, hand_over, register_passes
 
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ class LumigateEngine(bpy.types.RenderEngine):
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Called by Blender for one frame of one view layer, in the thread of its render job."""
+        if not self._watch(loading()):
+            return
         try:
             job = self._begin(depsgraph)
         except SceneError as error:

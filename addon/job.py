@@ -6,6 +6,7 @@ extension has gone.  Whoever cancels does not wait for it.
 
 from __future__ import annotations
 
+import importlib
 import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from ..core.settings import RenderSettings
 
 _running: set[Job] = set()
+_loading: Job | None = None
 _PATIENCE = 30.0  # seconds that `end_all` waits for a thread, at most
 
 
@@ -69,6 +71,33 @@ class Job:
             self._done.set()
 
 
+def failed(error: BaseException) -> Job:
+    """A job that has ended with this error before it began."""
+
+    def work(_advance: Callable[[str, float], bool]) -> None:
+        raise error
+
+    job = Job(work)
+    job.wait(_PATIENCE)
+    return job
+
+
+def loading() -> Job:
+    """The job, one a session, that imports what reads and renders scenes: Numba and its compiled code take seconds."""
+    global _loading
+    if _loading is None or _loading.cancelled:
+        _loading = Job(_load)
+    return _loading
+
+
+def _load(advance: Callable[[str, float], bool]) -> None:
+    advance("loading", 0.0)
+    importlib.import_module("..core.pipeline", __package__)
+    importlib.import_module(".extract", __package__)
+    builder = importlib.import_module(".materials.builder", __package__)
+    builder.warm_up()
+
+
 def render_job(
     scene: Scene,
     settings: RenderSettings,
@@ -82,7 +111,7 @@ def render_job(
     """
 
     def work(advance: Callable[[str, float], bool]) -> Any:
-        # Numba takes a second to import: that belongs to the first render, not to Blender's start.
+        # Not before `loading`, or Blender's start would wait for Numba.
         from ..core.jit import CompileWatch
         from ..core.pipeline import render
 

@@ -13,7 +13,7 @@ import bpy
 from ..core.errors import SceneError
 from .compositor import wire
 from .image_layers import IMAGE_NAME, load_layers, write_layers
-from .job import Job, render_job
+from .job import Job, failed, loading, render_job
 from .preserved import kept_render_result
 from .state import named_objects
 
@@ -33,7 +33,7 @@ class JobOperator:
         """Start, and let Blender go on."""
         if bpy.app.background:
             return self.execute(context)
-        if not self._start(context):
+        if not self._start():
             return {"CANCELLED"}
         self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -41,9 +41,9 @@ class JobOperator:
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start, and wait for the end."""
-        if not self._start(context):
+        if not self._start():
             return {"CANCELLED"}
-        while not self._job.wait(_TICK):
+        while not (self._job.wait(_TICK) and self._finished(context)):
             pass
         return self._end(context)
 
@@ -51,7 +51,7 @@ class JobOperator:
         """Called by Blender for each event while the job runs."""
         if event.type == "ESC" and event.value == "PRESS":
             self._job.cancel()
-        if self._job.cancelled or self._job.done:
+        if self._job.cancelled or (self._job.done and self._finished(context)):
             self._hide(context)
             return self._end(context)
         if event.type == "TIMER":
@@ -64,16 +64,25 @@ class JobOperator:
         self._hide(context)
         JobOperator.running = None
 
-    def _start(self, context: bpy.types.Context) -> bool:
+    def _start(self) -> bool:
         if JobOperator.running is not None and not JobOperator.running.done:
             self.report({"ERROR"}, "Lumigate is computing already: wait, or cancel it first")
             return False
+        self._begun = False
+        self._job = JobOperator.running = loading()
+        return True
+
+    def _finished(self, context: bpy.types.Context) -> bool:
+        """Whether the job that has ended was the last one; if it was the loading of code, the operator's own begins."""
+        if self._begun or self._job.error is not None:
+            return True
+        self._begun = True
         try:
             self._job = JobOperator.running = self.begin(context)
         except SceneError as error:
-            self.report({"ERROR"}, str(error))
-            return False
-        return True
+            self._job = failed(error)
+            return True
+        return False
 
     def _end(self, context: bpy.types.Context) -> set[str]:
         JobOperator.running = None

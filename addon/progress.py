@@ -20,6 +20,7 @@ _SHARES = {
 _MOST = 0.99  # what is shown before the end
 _ENOUGH = 0.1  # of the work must be done before the time left is worth showing
 _LABELS = {
+    "loading": "loading its code",
     "rays": "building the ray tracer",
     "emitters": "gathering the lamps",
     "view": "tracing the view",

@@ -19,7 +19,7 @@ from gpu_extras.presets import draw_texture_2d
 from ..core.errors import SceneError
 from ..core.scene import Camera, Scene
 from ..core.settings import RenderSettings
-from .job import Job, render_job
+from .job import Job, loading, render_job
 from .region import region_camera
 
 _TICK = 0.05  # seconds between two looks at a running job
@@ -68,6 +68,10 @@ class Viewport:
 
     def draw(self, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Draw the newest picture, and see to it that a better one comes."""
+        if not loading().done:
+            engine.update_stats("Lumigate", str(loading().progress))
+            self._redraw_soon(engine)
+            return
         region, eye = context.region, _looking(context)
         settings = depsgraph.scene.lumigate.as_settings()
         if eye != self._eye or settings != self._settings:
