@@ -179,8 +179,6 @@ def indirect_light(session):
     area = session.show("IMAGE_EDITOR")
     area.spaces.active.image = bpy.data.images["Lumigate Layers"]
     yield 0.5
-    layers = area.spaces.active.image_user
-    layers.multilayer_pass = 2
     with bpy.context.temp_override(**gui.override("IMAGE_EDITOR")):
         bpy.ops.image.view_all(fit_view=True)
     yield 0.8
