@@ -47,4 +47,5 @@ def load_layers(path: Path) -> bpy.types.Image:
         before.user_remap(image)
         bpy.data.images.remove(before)
     image.name = IMAGE_NAME
+    image.use_view_as_render = True  # as bright as the render that it belongs to
     return image
