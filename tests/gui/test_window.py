@@ -47,7 +47,7 @@ def packages() -> Path:
         target = ["--target", str(folder), "--only-binary=:all:", "--python-version", version, "--implementation", "cp"]
         tags = [word for tag in ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux2014_x86_64") for word in ("--platform", tag)]
         abis = ["--abi", abi, "--abi", "abi3", "--abi", "none"]
-        needs = ["numba>=0.68,<0.69", "scipy>=1.15", "embreex>=4.4,<5", "platformdirs>=4"]
+        needs = ["numba>=0.68,<0.69", "scipy>=1.15", "embreex>=4.4,<5", "platformdirs>=4", "pyoidn"]  # Debian's Blender brings no denoiser
         subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", *target, *tags, *abis, *needs], check=True)
         for numpy in folder.glob("numpy*"):  # Blender's own
             shutil.rmtree(numpy)
