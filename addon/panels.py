@@ -11,7 +11,7 @@ from . import operators as ops
 from .engine import LumigateEngine
 from .passes import OPTIONAL
 
-_WIDTH = 46  # characters of a line in a panel of usual width
+_WIDTH = 34  # characters of a line in a panel of usual width
 # Shown first, or by what is aimed at.
 _ELSEWHERE = {"method", "time_budget", "target_error", "threads"}
 
