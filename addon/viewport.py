@@ -94,15 +94,25 @@ class Viewport:
         if self._timer is not None and bpy.app.timers.is_registered(self._timer):
             return
 
-        def again() -> None:
+        def again() -> float | None:
+            if self._waiting():
+                return _TICK
             try:
                 engine.tag_redraw()
             except ReferenceError:
                 if self._job is not None:
                     self._job.cancel()
 
+            return None
+
         self._timer = again
         bpy.app.timers.register(again, first_interval=_TICK)
+
+    def _waiting(self) -> bool:
+        """Whether there is nothing new to draw: to draw the old picture again would take the job's time."""
+        if not loading().done:
+            return True
+        return self._job is not None and not self._job.done and not self._stale
 
     def _read(self, depsgraph: bpy.types.Depsgraph) -> None:
         from .extract import extract_shown
