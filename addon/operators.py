@@ -2,78 +2,273 @@
 
 from __future__ import annotations
 
-import tempfile
+import shutil
+import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import ClassVar
 
 import bpy
 
 from ..core.errors import SceneError
+from .compositor import wire
+from .image_layers import IMAGE_NAME, load_layers, write_layers
+from .job import Job, failed, loading, render_job
+from .preserved import kept_render_result
+from .state import named_objects
 
-if TYPE_CHECKING:
-    from ..core.layers import Layers
-
-IMAGE_NAME = "Lumigate Layers"
+_TICK = 0.1  # seconds between two looks at a running job
 
 
-class RenderLayers(bpy.types.Operator):
-    """Compute the scene's indirect light and load its layers as an image"""
+class JobOperator:
+    """An operator whose work is a job: the window stays alive, Esc and the panel's button cancel it.
 
-    bl_idname = "lumigate.render_layers"
-    bl_label = "Render Indirect Layers"
-    bl_options = {"REGISTER"}
+    A subclass gives `begin(context)`, which reads Blender's data and starts the job, and `finish(context)`.
+    Run from a script (EXEC_DEFAULT, or in background), it waits for the end.
+    """
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """A camera is needed."""
-        if context.scene.camera is None:
-            cls.poll_message_set("The scene has no camera")
-            return False
-        return True
+    running: ClassVar[Job | None] = None  # one at a time, of all operators
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Start, and let Blender go on."""
+        if bpy.app.background:
+            return self.execute(context)
+        if not self._start():
+            return {"CANCELLED"}
+        self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Extract, render, load; what is wrong with the scene is reported in one line."""
-        # Numba takes a second to import: that belongs to the first render, not to Blender's start.
-        from ..core.pipeline import render
-        from .extract import extract_scene
+        """Start, and wait for the end."""
+        if not self._start():
+            return {"CANCELLED"}
+        while not (self._job.wait(_TICK) and self._finished(context)):
+            pass
+        return self._end(context)
 
-        window = context.window_manager
-        window.progress_begin(0, 100)
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Called by Blender for each event while the job runs."""
+        if event.type == "ESC" and event.value == "PRESS":
+            self._job.cancel()
+        if self._job.cancelled or (self._job.done and self._finished(context)):
+            self._hide(context)
+            return self._end(context)
+        if event.type == "TIMER":
+            self._show(context)
+        return {"PASS_THROUGH"}
 
-        def progress(_stage: str, fraction: float) -> bool:
-            window.progress_update(100 * fraction)
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Called by Blender where it ends the operator itself: another file is loaded, or the window closed."""
+        self._job.cancel()
+        self._hide(context)
+        JobOperator.running = None
+
+    def _start(self) -> bool:
+        if JobOperator.running is not None and not JobOperator.running.done:
+            self.report({"ERROR"}, "Lumigate is computing already: wait, or cancel it first")
+            return False
+        self._begun = False
+        self._job = JobOperator.running = loading()
+        return True
+
+    def _finished(self, context: bpy.types.Context) -> bool:
+        """Whether the job that has ended was the last one; if it was the loading of code, the operator's own begins."""
+        if self._begun or self._job.error is not None:
             return True
-
+        self._begun = True
         try:
-            scene = extract_scene(context.scene)
-            result = render(scene, context.scene.lumigate.as_settings(), progress)
-            load_layers(result.layers)
+            self._job = JobOperator.running = self.begin(context)
+        except SceneError as error:
+            self._job = failed(error)
+            return True
+        return False
+
+    def _end(self, context: bpy.types.Context) -> set[str]:
+        JobOperator.running = None
+        if self._job.cancelled:
+            self.report({"INFO"}, "Cancelled: nothing has changed")
+            return {"CANCELLED"}
+        try:
+            if self._job.error is not None:
+                raise self._job.error
+            self.finish(context)
         except SceneError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        finally:
-            window.progress_end()
-        for warning in result.stats["warnings"]:
+        return {"FINISHED"}
+
+    def _show(self, context: bpy.types.Context) -> None:
+        state, progress = context.window_manager.lumigate, self._job.progress
+        state.running, state.fraction, state.stage = True, progress.fraction, str(progress)
+        context.workspace.status_text_set(f"Lumigate: {progress.fraction:.0%}, {progress}   (Esc cancels)")
+        _redraw(context)
+
+    def _hide(self, context: bpy.types.Context) -> None:
+        context.window_manager.event_timer_remove(self._timer)
+        context.window_manager.lumigate.running = False
+        context.workspace.status_text_set(None)
+        _redraw(context)
+
+
+def _redraw(context: bpy.types.Context) -> None:
+    """The panel shows how far the job is."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type in ("PROPERTIES", "IMAGE_EDITOR"):
+                area.tag_redraw()
+
+
+def _extracted(context: bpy.types.Context):
+    """The scene's arrays, and the seconds that they took; the last render stays."""
+    # NumPy's neighbours take a second to import: that belongs to the first render, not to Blender's start.
+    from .extract import extract_scene
+
+    begin = time.perf_counter()
+    with kept_render_result():
+        arrays = extract_scene(context.scene, view_layer=context.view_layer)
+    return arrays, time.perf_counter() - begin
+
+
+class NeedsCamera:
+    """For operators that look through the scene's camera."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A camera is needed, and no render under way: the scene is evaluated by one."""
+        if context.scene.camera is None:
+            cls.poll_message_set("The scene has no camera")
+            return False
+        if bpy.app.is_job_running("RENDER"):
+            cls.poll_message_set("A render is running")
+            return False
+        return True
+
+
+class AddIndirectLight(NeedsCamera, JobOperator, bpy.types.Operator):
+    """Compute the indirect light that the camera sees, whatever renderer the scene uses, into the image 'Lumigate Layers'"""
+
+    bl_idname = "lumigate.add_indirect_light"
+    bl_label = "Add Indirect Light"
+    bl_options = {"REGISTER", "UNDO"}
+
+    __annotations__ = {
+        "wire": bpy.props.BoolProperty(
+            name="Add to Compositor", description="Add the indirect light to the render by a node group", options={"SKIP_SAVE"}
+        )
+    }
+
+    def begin(self, context: bpy.types.Context) -> Job:
+        """Read the scene and start the render, which ends with the layers in a file."""
+        arrays, seconds = _extracted(context)
+        folder = Path(bpy.app.tempdir)
+        return render_job(
+            arrays,
+            context.scene.lumigate.as_settings(),
+            extraction_seconds=seconds,
+            afterwards=lambda result: (write_layers(folder, result.layers), result.stats),
+        )
+
+    def finish(self, context: bpy.types.Context) -> None:
+        """Load the file; what was wrong is reported."""
+        path, stats = self._job.result
+        image = load_layers(path)
+        if self.wire:
+            wire(context.scene, image, context.view_layer.name)
+        left_out = [f"{found['stage']}: {found['reason']}" for found in stats["skipped"]]
+        context.window_manager.lumigate.report(context.scene, left_out, stats["warnings"])
+        for warning in stats["warnings"]:
             self.report({"WARNING"}, warning)
-        self.report({"INFO"}, f"{IMAGE_NAME}: {result.stats['seconds_total']:.1f} s")
+        self.report({"INFO"}, f"{IMAGE_NAME}: {stats['method']}, {stats['seconds_total']:.1f} s")
+
+
+class Cancel(bpy.types.Operator):
+    """Stop what Lumigate is computing; nothing in the file has changed"""
+
+    bl_idname = "lumigate.cancel"
+    bl_label = "Cancel"
+    bl_options = {"INTERNAL"}
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        """The running operator sees it at its next tick."""
+        if JobOperator.running is not None:
+            JobOperator.running.cancel()
         return {"FINISHED"}
 
 
-def load_layers(layers: Layers) -> bpy.types.Image:
-    """The multilayer image `IMAGE_NAME` of this file with `layers` in it, packed, so that no file on disk is needed."""
-    from ..core.layers import write_exr
+class CheckScene(NeedsCamera, bpy.types.Operator):
+    """List what a render will leave out, and what will look wrong; bakes procedural materials and the sky, which are kept for the render"""
 
-    with tempfile.TemporaryDirectory(dir=bpy.app.tempdir) as folder:
-        path = write_exr(Path(folder) / "layers.exr", layers)
-        image = bpy.data.images.load(str(path))
-        image.pack()
-        len(image.pixels)  # reads the file: only then Blender knows that it is multilayer
-    before = bpy.data.images.get(IMAGE_NAME)
-    if before is not None:
-        before.user_remap(image)
-        bpy.data.images.remove(before)
-    image.name = IMAGE_NAME
-    return image
+    bl_idname = "lumigate.check_scene"
+    bl_label = "Check and Prepare Scene"
+    bl_options = {"REGISTER"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Extract the scene and ask the core what it foresees."""
+        from ..core.inspection import foresee
+        from ..core.lamps import build_emitters
+
+        try:
+            arrays, _ = _extracted(context)
+        except SceneError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        skipped, warnings = foresee(arrays, build_emitters(arrays))
+        lines = [f"{found.stage}: {found.reason}" for found in (*arrays.skipped, *skipped)]
+        context.window_manager.lumigate.report(context.scene, lines, [*arrays.warnings, *warnings])
+        return {"FINISHED"}
 
 
-CLASSES = (RenderLayers,)
+class SelectNamed(bpy.types.Operator):
+    """Select the object that this line names, and make it active"""
+
+    bl_idname = "lumigate.select_named"
+    bl_label = "Select"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+
+    __annotations__ = {"name": bpy.props.StringProperty(name="Name", options={"SKIP_SAVE"})}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Deselect the others."""
+        layer = context.view_layer
+        found = [ob for ob in named_objects(context.scene, self.name) if ob.name in layer.objects]
+        if not found:
+            self.report({"WARNING"}, f"'{self.name}' is not in view layer '{layer.name}'")
+            return {"CANCELLED"}
+        for ob in list(layer.objects.selected):
+            ob.select_set(False)
+        for ob in found:
+            ob.select_set(True)
+        layer.objects.active = found[0]
+        return {"FINISHED"}
+
+
+class ClearCache(bpy.types.Operator):
+    """Delete the baked materials and skies that are kept for later renders; the next render makes them again"""
+
+    bl_idname = "lumigate.clear_cache"
+    bl_label = "Clear Cache"
+    bl_options = {"REGISTER"}
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        """Delete the folders."""
+        freed = sum(_remove(folder()) for folder in _cache_folders())
+        self.report({"INFO"}, f"{freed / 2**20:.1f} MiB freed")
+        return {"FINISHED"}
+
+
+def _cache_folders() -> tuple[Callable[[], Path], ...]:
+    from .extract.world import cache_folder as worlds
+    from .materials.bake import cache_folder as bakes
+
+    return worlds, bakes
+
+
+def _remove(folder: Path) -> int:
+    """Delete a folder; bytes that were in it."""
+    size = sum(file.stat().st_size for file in folder.glob("*") if file.is_file())
+    shutil.rmtree(folder, ignore_errors=True)
+    return size
+
+
+CLASSES = (AddIndirectLight, Cancel, CheckScene, SelectNamed, ClearCache)

@@ -2,33 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import bpy
 
-from . import lightmap_operators, lightmap_panel, lightmap_properties, operators, panels, properties
+from . import (
+    compat,
+    engine,
+    job,
+    lightmap_operators,
+    lightmap_panel,
+    lightmap_properties,
+    operators,
+    panels,
+    passes,
+    properties,
+    state,
+)
 
-# Each module lists its CLASSES; properties first, for the others show them.
-MODULES = (properties, lightmap_properties, operators, lightmap_operators, panels, lightmap_panel)
-CLASSES = tuple(cls for module in MODULES for cls in module.CLASSES)
+# Properties first, for the others show them; each module lists its CLASSES.
+MODULES = (properties, lightmap_properties, passes, state, engine, operators, lightmap_operators, panels, lightmap_panel)
+# What is hung onto Blender's own types, once the classes are there.
+ATTACHED = (properties, lightmap_properties, passes, state, compat)
 
 
 def register() -> None:
-    """Register every class, then the settings of each scene; an error undoes what was done before it."""
-    done = []
+    """Register every class, then attach the rest; an error undoes what was done before it."""
+    undo: list[Callable[[], None]] = []
     try:
-        for cls in CLASSES:
+        for cls in (cls for module in MODULES for cls in module.CLASSES):
             bpy.utils.register_class(cls)
-            done.append(cls)
-        properties.attach()
-        lightmap_properties.attach()
+            undo.append(partial(bpy.utils.unregister_class, cls))
+        for module in ATTACHED:
+            module.attach()
+            undo.append(module.detach)
     except Exception:
-        for cls in reversed(done):
-            bpy.utils.unregister_class(cls)
+        for step in reversed(undo):
+            step()
         raise
 
 
 def unregister() -> None:
-    """Leave nothing behind."""
-    lightmap_properties.detach()
-    properties.detach()
-    for cls in reversed(CLASSES):
+    """Leave nothing behind, no thread either."""
+    job.end_all()
+    for module in reversed(ATTACHED):
+        module.detach()
+    for cls in (cls for module in reversed(MODULES) for cls in reversed(module.CLASSES)):
         bpy.utils.unregister_class(cls)

@@ -161,6 +161,33 @@ def c_function(signature):
     return decorate
 
 
+class CompileWatch(event.Listener):
+    """Whether Numba is compiling just now, for a progress display: `with CompileWatch() as watch: ...; watch.compiling`."""
+
+    def __init__(self) -> None:
+        self._depth = 0
+
+    def __enter__(self) -> CompileWatch:
+        event.register("numba:compile", self)
+        return self
+
+    def __exit__(self, *_):
+        event.unregister("numba:compile", self)
+
+    @property
+    def compiling(self) -> bool:
+        """True between the beginning and the end of a compilation."""
+        return self._depth > 0
+
+    def on_start(self, _event) -> None:
+        """Called by Numba; compilations lie within each other."""
+        self._depth += 1
+
+    def on_end(self, _event) -> None:
+        """Called by Numba."""
+        self._depth -= 1
+
+
 class CompileTimer:
     """Seconds that Numba spends compiling, for the statistics: `with CompileTimer() as t: ...; t.seconds`."""
 

@@ -31,7 +31,7 @@ CONTRACT = (
     "Depth",
 )
 # Layers that are vectors in space, not colours.
-_VECTORS = {"Normal", "Position"}
+VECTORS = {"Normal", "Position"}
 _LETTERS = {1: "V", 2: "XY", 3: "RGB", 4: "RGBA"}
 # One-channel passes are called V (a value) or Z (a depth) by Blender's versions, Y by other programs.
 _ORDER = {letter: i for i, letter in enumerate("RXVGYBZWA")}
@@ -90,7 +90,7 @@ class Layers(MutableMapping):
 
 def channel_names(name: str, channels: int, view_layer: str) -> list[str]:
     """Names in the file of a layer's channels: ['ViewLayer.Normal.X', ...]."""
-    letters = "XYZ" if name in _VECTORS and channels == 3 else _LETTERS[channels]
+    letters = "XYZ" if name in VECTORS and channels == 3 else _LETTERS[channels]
     return [f"{view_layer}.{name}.{letter}" for letter in letters]
 
 

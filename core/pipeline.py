@@ -89,6 +89,18 @@ def render(
         core.threads.Cancelled: `progress` returned False.
     """
     settings = settings.with_defaults()
+    denoiser = Denoiser() if settings.denoise else None
+    try:
+        return _render(scene, settings, denoiser, progress, extraction_seconds)
+    finally:  # a cancelled render must not leave the library's threads behind
+        if denoiser:
+            denoiser.close()
+
+
+def _render(
+    scene: Scene, settings: RenderSettings, denoiser: Denoiser | None, progress: StageProgress | None, extraction_seconds: float
+) -> RenderResult:
+    """The same with nothing left open in `settings`, and the denoiser that they want."""
     method = method_of(settings)
     run = Run(progress)
     run.seconds["extraction"] = extraction_seconds
@@ -98,7 +110,6 @@ def render(
     def elapsed() -> float:
         return extraction_seconds + time.perf_counter() - begin - run.seconds.get("jit", 0.0)
 
-    denoiser = Denoiser() if settings.denoise else None
     if denoiser and denoiser.warning:
         run.warnings.append(denoiser.warning)
     with prepared(run, scene) as tables:
@@ -114,7 +125,6 @@ def render(
     if denoiser:
         with run.stage("denoise"):
             picture = picture.denoised(denoiser, threads, direct=settings.wants("Direct", "Combined"))
-            denoiser.close()
     layers = picture.layers(scene)
     layers.update(run.debug)
     if settings.layers is not None:

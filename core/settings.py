@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import Field, dataclass, field, fields, replace
+from typing import Any
 
 METHODS = (
     "auto",
@@ -21,6 +22,54 @@ CONTENTS = {
 }
 
 
+@dataclass(frozen=True)
+class Choice:
+    """One value of an option: what a menu says, and what it means in a line."""
+
+    value: str
+    label: str
+    help: str
+
+
+@dataclass(frozen=True)
+class Option:
+    """How a field of `RenderSettings` is offered to a user.
+
+    least, most: bounds of a number;  usual: where a slider ends.  unit: 's' for seconds, '' for plain numbers.
+    choices: the values of a menu.  method: the only method that reads it.
+    """
+
+    label: str
+    help: str
+    least: float = 0
+    most: float = 2**31 - 1
+    usual: float | None = None
+    unit: str = ""
+    choices: tuple[Choice, ...] = ()
+    method: str | None = None
+
+
+def option(default: Any, label: str, help: str, **more: Any) -> Any:
+    """A field with its `Option`."""
+    return field(default=default, metadata={"option": Option(label, help, **more)})
+
+
+METHOD_CHOICES = (
+    Choice("auto", "Automatic", "The most accurate method: importance sampling"),
+    Choice(
+        "importance-sampling",
+        "Importance Sampling",
+        "Shadow rays to the lights that matter and gather rays into a cache of light, denoised",
+    ),
+    Choice("fuzzy-clustering", "Fuzzy Clustering", "A smooth preview: visibility is computed between clusters only, and blended"),
+    Choice(
+        "instant-radiosity",
+        "Instant Radiosity",
+        "Shadow rays from every point to every virtual point light: slow, the measure of the others",
+    ),
+)
+
+
 @dataclass
 class RenderSettings:
     """The request of one render; every field has the default of the command line.
@@ -33,34 +82,85 @@ class RenderSettings:
     layers: names of the layers wanted (None: all of the contract).
     """
 
-    method: str = "auto"
-    vpls: int = 4096
-    bounces: int = 4
-    seed: int = 0
-    threads: int = 0
-    pixel_samples: int = 16
-    direct_samples: int | None = None
-    reflections: int | None = None
-    denoise: bool | None = None
-    time_budget: float | None = None
-    target_error: float | None = None
-    debug_layers: bool = False
+    method: str = option("auto", "Method", "How the indirect light is gathered", choices=METHOD_CHOICES)
+    vpls: int = option(4096, "VPLs", "Virtual point lights that carry the indirect light", least=1, usual=65536)
+    bounces: int = option(
+        4, "Bounces", "Diffuse bounces of the indirect light: 1 is light that left one surface before the visible one", usual=32
+    )
+    seed: int = option(0, "Seed", "Seed of all random sequences: another one gives other noise")
+    threads: int = option(0, "Threads", "Threads that compute, 0 for all cores", usual=64)
+    pixel_samples: int = option(16, "Pixel Samples", "Primary samples of a pixel, for its edges and textures", least=1, usual=64)
+    direct_samples: int | None = option(None, "Direct Samples", "Shadow rays of a shading point to the lamps", least=1, usual=64)
+    reflections: int | None = option(None, "Reflections", "Most rays drawn from the glossy lobe of a shading point, 0 for none", usual=32)
+    denoise: bool | None = option(
+        None, "Denoise", "Take the noise out of the light by Open Image Denoise; albedo and edges stay as they are"
+    )
+    time_budget: float | None = option(None, "Time", "Compute for this long, with as many samples as fit", least=0.1, usual=600, unit="s")
+    target_error: float | None = option(
+        None,
+        "Error",
+        "Compute until the estimated relative error (relMSE) of the indirect light is below this",
+        least=1e-5,
+        most=1,
+        usual=0.1,
+    )
+    debug_layers: bool = option(False, "Debug Layers", "Also give clusters and the light of single VPLs, one layer each")
     layers: tuple[str, ...] | None = None
 
     # instant radiosity
-    visibility: str = "rays"  # rays | shadow-maps | none
-    compensation: bool = True
+    visibility: str = option(
+        "rays",
+        "Visibility",
+        "How a VPL is tested for sight of a point",
+        choices=(
+            Choice("rays", "Shadow Rays", "Exact"),
+            Choice("shadow-maps", "Shadow Maps", "Cube shadow maps: fast, with an error of their own at edges"),
+            Choice("none", "None", "No shadows at all"),
+        ),
+        method="instant-radiosity",
+    )
+    compensation: bool = option(
+        True,
+        "Bias Compensation",
+        "Give back by gather rays the light of corners that the clamped geometry term loses",
+        method="instant-radiosity",
+    )
 
     # fuzzy clustering
-    vpl_clusters: int = 1000
-    point_clusters: int = 8000
-    fuzziness: int = 6
-    weighting: str = "smooth"  # smooth | distance | plain
-    shade_with: str = "clusters"  # clusters | vpls
+    vpl_clusters: int = option(1000, "VPL Clusters", "Clusters of virtual point lights", least=1, usual=10000, method="fuzzy-clustering")
+    point_clusters: int = option(8000, "Point Clusters", "Clusters of shading points", least=1, usual=100000, method="fuzzy-clustering")
+    fuzziness: int = option(
+        6, "Fuzziness", "Clusters whose visibility a point blends, 1 for its own alone", least=1, usual=32, method="fuzzy-clustering"
+    )
+    weighting: str = option(
+        "smooth",
+        "Weighting",
+        "How the blended clusters are weighted",
+        choices=(
+            Choice("smooth", "Smooth", "By distance, without a seam where the clusters change"),
+            Choice("distance", "Distance", "By inverse distance"),
+            Choice("plain", "Plain", "All alike"),
+        ),
+        method="fuzzy-clustering",
+    )
+    shade_with: str = option(
+        "clusters",
+        "Shade With",
+        "What shines on a point",
+        choices=(
+            Choice("clusters", "Clusters", "One light a cluster: fast"),
+            Choice("vpls", "VPLs", "Every VPL, with the visibility of its cluster"),
+        ),
+        method="fuzzy-clustering",
+    )
 
     # importance sampling; gather: of the compensation, too
-    samples: int = 8
-    gather: int = 8
+    samples: int = option(
+        8, "Shadow Rays", "Shadow rays of a shading point to the lights that matter", least=1, usual=128, method="importance-sampling"
+    )
+    gather: int = option(
+        8, "Gather Rays", "Rays of a shading point into the cache of light, and of the bias compensation", least=1, usual=128
+    )
 
     extra: dict = field(default_factory=dict)
 
@@ -103,3 +203,16 @@ class BakeSettings:
     texel_samples: int = 4
     margin: int = 4
     stitch: bool = True
+
+
+# Values of the numbers for a first look, for work, and for the last picture.
+QUALITIES: dict[str, dict[str, int]] = {
+    "preview": {"vpls": 2048, "pixel_samples": 4, "samples": 4, "gather": 4},
+    "medium": {name: getattr(RenderSettings(), name) for name in ("vpls", "pixel_samples", "samples", "gather")},
+    "final": {"vpls": 16384, "pixel_samples": 32, "samples": 32, "gather": 32},
+}
+
+
+def options() -> dict[str, Field]:
+    """The fields of `RenderSettings` that a user sets one by one: name to field, whose `metadata["option"]` is the `Option`."""
+    return {f.name: f for f in fields(RenderSettings) if "option" in f.metadata}

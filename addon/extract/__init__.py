@@ -7,15 +7,15 @@ from collections.abc import Mapping
 import bpy
 
 from ...core.errors import SceneError
-from ...core.scene import Scene
+from ...core.scene import Camera, Scene
 from ..materials import MaterialUse, compile_materials
 from .camera import camera_warnings, extract_camera, find_camera, image_frame
 from .evaluation import in_render_depsgraph
 from .geometry import Collected, assemble, collect
 from .lamps import CollectedLamps, collect_lamps, to_arrays
-from .world import extract_world
+from .world import Cycles, extract_world
 
-__all__ = ["extract_scene"]
+__all__ = ["extract_scene", "extract_shown"]
 
 
 def extract_scene(
@@ -56,9 +56,38 @@ def extract_scene(
     if depsgraph is None:
         layer.update()
     graph = depsgraph if depsgraph is not None else layer.depsgraph
-    compiled = compile_materials(_uses(found, graph))
+    extracted = _assembled(scene, layer, graph, found, lamps, view, "apart" if depsgraph is not None else "here")
+    extracted.warnings[:0] = warnings
+    return extracted
+
+
+def extract_shown(depsgraph: bpy.types.Depsgraph, camera: Camera) -> Scene:
+    """What a viewport's evaluation shows, seen by `camera` (in world space): nothing is baked or rendered for it.
+
+    Raises:
+        SceneError: too much geometry.
+    """
+    scene = depsgraph.scene
+    layer = scene.view_layers[depsgraph.view_layer_eval.name]
+    return _assembled(scene, layer, depsgraph, collect(depsgraph), collect_lamps(depsgraph), camera, "not")
+
+
+def _assembled(
+    scene: bpy.types.Scene,
+    layer: bpy.types.ViewLayer,
+    graph: bpy.types.Depsgraph,
+    found: Collected,
+    lamps: CollectedLamps,
+    view: Camera | None,
+    cycles: Cycles,
+) -> Scene:
+    """The arrays of what was collected from an evaluation.
+
+    cycles: where it may compute what only it can: in this file, in a process of its own, or not now.
+    """
+    compiled = compile_materials(_uses(found, graph), may_bake=cycles == "here")
     geometry, origin, dropped = assemble(found, compiled)
-    world = extract_world(scene, layer, graph, rendering=depsgraph is not None)
+    world = extract_world(scene, layer, graph, cycles)
     if view is not None:
         view.matrix[:3, 3] -= origin
     return Scene(
@@ -70,7 +99,7 @@ def extract_scene(
         origin=origin,
         frame=scene.frame_current,
         view_layer=layer.name,
-        warnings=[*warnings, *found.warnings, *dropped, *lamps.warnings, *world.warnings, *compiled.warnings],
+        warnings=[*found.warnings, *dropped, *lamps.warnings, *world.warnings, *compiled.warnings],
         skipped=lamps.skipped,
     )
 

@@ -8,6 +8,7 @@ import tempfile
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import bpy
 import numpy as np
@@ -20,6 +21,8 @@ from .lamps import Lamp
 from .nodes import Shader, node_tree, surface
 from .panorama import Sun, pack_suns, render_panorama, render_panorama_apart, unpack_suns
 
+# Where Cycles may compute: in the open file, in a process of its own (a render runs in this one), or not now.
+Cycles = Literal["here", "apart", "not"]
 _MAX_WIDTH = 4096
 _WIDTH = 1024  # of a rendered panorama whose nodes name no larger image
 _CACHE_BYTES = 2**30
@@ -34,12 +37,14 @@ class ExtractedWorld:
     warnings: list[str] = field(default_factory=list)
 
 
-def extract_world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, graph: bpy.types.Depsgraph, rendering: bool) -> ExtractedWorld:
+def extract_world(
+    scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, graph: bpy.types.Depsgraph, cycles: Cycles = "here"
+) -> ExtractedWorld:
     """The world of a scene as evaluated in `graph`.
 
     A plain background is one value; an environment image is taken as it is; any other tree is rendered
     by Cycles once and kept in the user's cache folder.
-    rendering: the call comes from within a render.
+    cycles: where it may render; where it may not now, a world that it has not rendered before is black, with a warning.
 
     Raises:
         SceneError: Cycles could not render the world.
@@ -72,7 +77,13 @@ def extract_world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, graph
     if radiance is None:
         if any(node.type == "LIGHT_PATH" for node in tree.nodes):
             found.warnings.append(f"world '{world.name}' depends on the light path: all rays see what diffuse rays see")
-        radiance, suns = _rendered(scene, world, tree, rendering)
+        rendered = _rendered(scene, world, tree, cycles)
+        if rendered is None:
+            found.warnings.append(
+                f"world '{world.name}' is black until Cycles has rendered it: check and prepare the scene in Lumigate's panel"
+            )
+            return found
+        radiance, suns = rendered
         found.suns = [_sun_lamp(world, sun, found.world.visibility) for sun in suns]
     found.world.radiance = np.maximum(radiance, 0, dtype=np.float32)
     if np.ptp(radiance.reshape(-1, 3), axis=0).max() <= 1e-6 * radiance.max():
@@ -147,14 +158,18 @@ def _shrink(pixels: np.ndarray, width: int) -> np.ndarray:
     return pixels
 
 
-def _rendered(scene: bpy.types.Scene, world: bpy.types.World, tree: bpy.types.NodeTree, rendering: bool) -> tuple[np.ndarray, list[Sun]]:
-    """The panorama and suns of any world, from the cache or by Cycles."""
+def _rendered(
+    scene: bpy.types.Scene, world: bpy.types.World, tree: bpy.types.NodeTree, cycles: Cycles
+) -> tuple[np.ndarray, list[Sun]] | None:
+    """The panorama and suns of any world, from the cache or by Cycles, if that may run."""
     widths = [node.image.size[0] for node in tree.nodes if node.type == "TEX_ENVIRONMENT" and node.image is not None]
     width = min(max([_WIDTH, *widths]), _MAX_WIDTH)
-    stored = _cache_folder() / f"{fingerprint(tree, width)}.npz"
+    stored = cache_folder() / f"{fingerprint(tree, width)}.npz"
     with suppress(OSError, ValueError, KeyError), np.load(stored) as kept:  # a damaged file is rendered again
         return kept["radiance"], unpack_suns(kept["suns"])
-    render = render_panorama_apart if rendering else render_panorama
+    if cycles == "not":
+        return None
+    render = render_panorama_apart if cycles == "apart" else render_panorama
     try:
         radiance, suns = render(world.original, scene.frame_current, width, width // 2)
     except (RuntimeError, OSError) as error:
@@ -164,7 +179,8 @@ def _rendered(scene: bpy.types.Scene, world: bpy.types.World, tree: bpy.types.No
     return radiance, suns
 
 
-def _cache_folder() -> Path:
+def cache_folder() -> Path:
+    """Where they are kept from one run to the next."""
     return Path(platformdirs.user_cache_dir("lumigate")) / "worlds"
 
 

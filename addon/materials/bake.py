@@ -29,9 +29,13 @@ _UV = "lumigate bake"
 
 
 class Baker:
-    """Bakes sockets of one material; all its bakes share one UV layout."""
+    """Bakes sockets of one material; all its bakes share one UV layout.
 
-    def __init__(self, material: bpy.types.Material, objects: tuple[bpy.types.Object, ...]):
+    may_bake: Cycles may run now; else only bakes that are kept from before are given.
+    """
+
+    def __init__(self, material: bpy.types.Material, objects: tuple[bpy.types.Object, ...], may_bake: bool = True):
+        self._may_bake = may_bake and threading.current_thread() is threading.main_thread()
         self.material = material
         self.objects = {o.name: o for o in objects if o.type in ("MESH", "CURVE", "SURFACE", "META", "FONT")}
         self._layout: tuple[int, dict[str, np.ndarray]] | None = None
@@ -45,11 +49,11 @@ class Baker:
         if not self.objects:
             raise Unsupported("no object wears the material")
         side, corner_uvs = self._corner_uvs()
-        file = _cache_folder() / f"{self._key(scope, socket, side)}.npy"
+        file = cache_folder() / f"{self._key(scope, socket, side)}.npy"
         if file.is_file():
             return np.load(file).astype(np.float32)
-        if threading.current_thread() is not threading.main_thread():
-            raise Unsupported("Cycles bakes from the main thread only")
+        if not self._may_bake:
+            raise Unsupported("Cycles cannot bake while a render runs, so bake it before ('Check and Prepare Scene' in Lumigate's panel)")
         with _temporary() as scene:
             image = bpy.data.images.new("lumigate bake", side, side, alpha=False, float_buffer=True)
             material = self._emitting_copy(scope, socket, image)
@@ -235,7 +239,8 @@ def _temporary():
                 getattr(bpy.data, name).remove(block)
 
 
-def _cache_folder() -> Path:
+def cache_folder() -> Path:
+    """Where they are kept from one run to the next."""
     return Path(platformdirs.user_cache_dir("lumigate")) / "bakes"
 
 

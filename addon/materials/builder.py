@@ -178,7 +178,8 @@ def run(code: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray
     rows, surface = ops.new_registers(tables), np.zeros(SURFACE, np.float32)
     f = np.float32
     attributes = np.zeros((1, 1, 3, 4), np.float32)
-    ops.evaluate(tables, np.int32(0), attributes, np.int32(0), f(0), f(0), f(ops.MEAN_VIEW), rows, surface)
+    # What `ops.evaluate` inlines: called from Python, that would be compiled anew in every session.
+    ops._run(tables, 0, attributes, np.int32(0), f(0), f(0), f(ops.MEAN_VIEW), rows, surface)
     return rows, surface
 
 
@@ -191,3 +192,8 @@ def _fold(op: int, operands: tuple, p: int) -> Constant:
     instruction = [op, 0, *sources, *[ops.REGISTERS] * (5 - len(sources)), p]
     rows, _ = run(np.array([instruction, [ops.END, *[0] * 7]], np.int32), np.array(constants, np.float32))
     return Constant(*(float(c) for c in rows[0]))
+
+
+def warm_up() -> None:
+    """Load the compiled code of `run`, which takes a second, at a time of the caller's choice."""
+    _fold(ops.AVERAGE, (ZERO,), 0)

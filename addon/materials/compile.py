@@ -23,26 +23,29 @@ _GLOSSY = {ops.GLOSSY_CLOSURE, ops.METAL_CLOSURE, ops.GLASS_CLOSURE, ops.DIELECT
 _TRANSPARENT = {ops.TRANSPARENT_CLOSURE, ops.REFRACTION_CLOSURE, ops.GLASS_CLOSURE}
 
 
-def compile_materials(uses: Sequence[MaterialUse]) -> CompiledMaterials:
-    """Tables of the materials of `uses`, in their order."""
+def compile_materials(uses: Sequence[MaterialUse], *, may_bake: bool = True) -> CompiledMaterials:
+    """Tables of the materials of `uses`, in their order.
+
+    may_bake: Cycles may run now; else what only it can compute comes from an earlier bake, or is left out with a warning.
+    """
     textures = TexturePool()
     warnings: list[str] = []
     baked_uvs: dict[str, dict[str, np.ndarray]] = {}
-    programs = [_program(use, textures, warnings, baked_uvs) for use in uses]
+    programs = [_program(use, textures, warnings, baked_uvs, may_bake) for use in uses]
     names = [use.material.name if use.material else "" for use in uses]
     tables = _link(programs, names, textures, warnings)
     requests = [list(p.requests) for p in programs]
     return CompiledMaterials(scene.Materials(names, tables), requests, warnings, baked_uvs)
 
 
-def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked_uvs: dict) -> Program:
+def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked_uvs: dict, may_bake: bool) -> Program:
     program = Program()
     material = use.material
     if material is None or not _uses_nodes(material):
         color = _DEFAULT_GREY if material is None else Constant(*material.diffuse_color)
         program.emit(ops.DIFFUSE_CLOSURE, color, ZERO, ZERO, ONE)
         return program
-    baker = Baker(material, use.objects)
+    baker = Baker(material, use.objects, may_bake)
     context = Context(material, program, textures, warnings, baker, use.objects)
     output = material.node_tree.get_output_node("CYCLES") or material.node_tree.get_output_node("ALL")
     if output is None:

@@ -13,7 +13,7 @@ from lumigate.core.surfaces.batch import evaluate_batch
 @pytest.fixture(autouse=True)
 def own_cache(monkeypatch, tmp_path):
     """A cache folder of the test's own, and small textures."""
-    monkeypatch.setattr(bake, "_cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(bake, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(bake, "_SIDE", 256)
 
 

@@ -14,7 +14,7 @@ from lumigate.core.scene import ALL_RAYS, CAMERA, DIFFUSE, GLOSSY, SHADOW, SUN, 
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
     """Panoramas are kept in a folder of the test's own."""
-    monkeypatch.setattr(room, "_cache_folder", lambda: tmp_path / "worlds")
+    monkeypatch.setattr(room, "cache_folder", lambda: tmp_path / "worlds")
     return tmp_path / "worlds"
 
 

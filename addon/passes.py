@@ -1,0 +1,79 @@
+"""The layers of a render as Blender's passes: which there are, and which a view layer wants."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ..core.layers import CONTRACT, VECTORS, Layers
+
+COMBINED = "Combined"
+_HELP = {
+    "Direct": "Light that comes straight from lamps and emitters, reflected once",
+    "Indirect": "Light that left another surface before: diffuse and glossy",
+    "DiffuseIndirect": "Indirect light that the visible surface scatters",
+    "GlossyIndirect": "Indirect light that the visible surface mirrors or transmits",
+    "Irradiance": "Indirect light that arrives at the surface, free of its albedo (W/m²)",
+    "Albedo": "Colour of the surface: the share of light that it scatters",
+    "Emission": "Light of the emitters and of the world, as the camera sees them",
+    "Normal": "Shading normal in world space",
+    "Position": "Position in world space (m)",
+    "Depth": "Distance along the view (m)",
+}
+OPTIONAL = tuple(name for name in CONTRACT if name != COMBINED)
+
+
+def _channels(name: str) -> tuple[int, str, str]:
+    """Number, letters and type of a pass's channels, as Blender wants them."""
+    if name == "Depth":
+        return 1, "Z", "VALUE"
+    return (3, "XYZ", "VECTOR") if name in VECTORS else (3, "RGB", "COLOR")
+
+
+class LumigatePasses(bpy.types.PropertyGroup):
+    """The passes that a view layer gives to the compositor."""
+
+    __annotations__ = {name: bpy.props.BoolProperty(name=name, description=_HELP[name], default=True) for name in OPTIONAL}
+
+    def wanted(self) -> list[str]:
+        """Names of the passes that are switched on, besides Combined."""
+        return [name for name in OPTIONAL if getattr(self, name)]
+
+
+def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
+    """Tell the compositor what sockets the view layer has."""
+    engine.register_pass(scene, view_layer, COMBINED, 4, "RGBA", "COLOR")
+    for name in view_layer.lumigate.wanted():
+        engine.register_pass(scene, view_layer, name, *_channels(name))
+
+
+def hand_over(engine: bpy.types.RenderEngine, layers: Layers, wanted: list[str]) -> None:
+    """Give the layers of a render to Blender as the passes of its view layer."""
+    for name in wanted:
+        channels, letters, _ = _channels(name)
+        engine.add_pass(name, channels, letters, layer=layers.view_layer)
+    result = engine.begin_result(0, 0, *layers.size, layer=layers.view_layer)
+    for target in result.layers[0].passes:
+        if target.name in layers:
+            target.rect.foreach_set(_bottom_up(layers[target.name], target.channels).ravel())
+    engine.end_result(result)
+
+
+def _bottom_up(array: np.ndarray, channels: int) -> np.ndarray:
+    """(H, W, C) as Blender orders it, the last row first; a fourth channel is opaque."""
+    if channels > array.shape[2]:
+        array = np.concatenate([array, np.ones_like(array[..., :1])], axis=2)
+    return np.ascontiguousarray(array[::-1])
+
+
+CLASSES = (LumigatePasses,)
+
+
+def attach() -> None:
+    """Give every view layer its switches."""
+    bpy.types.ViewLayer.lumigate = bpy.props.PointerProperty(type=LumigatePasses)
+
+
+def detach() -> None:
+    """Take them away again."""
+    del bpy.types.ViewLayer.lumigate

@@ -1,0 +1,66 @@
+"""What the panel shows of the present session, in the window manager: nothing of it is saved."""
+
+from __future__ import annotations
+
+import re
+
+import bpy
+
+_QUOTED = re.compile(r"'([^']+)'")
+
+
+class LumigateRemark(bpy.types.PropertyGroup):
+    """One line about the scene: what will be skipped or wrong, and the object that it names."""
+
+    __annotations__ = {
+        "text": bpy.props.StringProperty(),
+        "named": bpy.props.StringProperty(description="The object, material or lamp that the line names, if any"),
+        "wrong": bpy.props.BoolProperty(description="It will look wrong; else it is only left out"),
+    }
+
+
+class LumigateState(bpy.types.PropertyGroup):
+    """Progress of the running job and the last report on the scene."""
+
+    __annotations__ = {
+        "running": bpy.props.BoolProperty(),
+        "fraction": bpy.props.FloatProperty(min=0, max=1),
+        "stage": bpy.props.StringProperty(),
+        "checked": bpy.props.BoolProperty(description="Whether the scene has been looked at"),
+        "remarks": bpy.props.CollectionProperty(type=LumigateRemark),
+    }
+
+    def report(self, scene: bpy.types.Scene, skipped: list[str], warnings: list[str]) -> None:
+        """Show these lines instead of those that are there."""
+        self.checked = True
+        self.remarks.clear()
+        for lines, wrong in ((warnings, True), (skipped, False)):
+            for line in lines:
+                remark = self.remarks.add()
+                remark.text, remark.wrong = line, wrong
+                remark.named = next((name for name in _QUOTED.findall(line) if named_objects(scene, name)), "")
+
+
+def named_objects(scene: bpy.types.Scene, name: str) -> list[bpy.types.Object]:
+    """The scene's object of that name, else those whose data, material or collection of instances has it."""
+    if name in scene.objects:
+        return [scene.objects[name]]
+    return [ob for ob in scene.objects if name in _names(ob)]
+
+
+def _names(ob: bpy.types.Object) -> set[str]:
+    parts = [ob.data, ob.instance_collection, *(slot.material for slot in ob.material_slots)]
+    return {part.name for part in parts if part is not None}
+
+
+CLASSES = (LumigateRemark, LumigateState)
+
+
+def attach() -> None:
+    """Give the window manager its state."""
+    bpy.types.WindowManager.lumigate = bpy.props.PointerProperty(type=LumigateState)
+
+
+def detach() -> None:
+    """Take it away again."""
+    del bpy.types.WindowManager.lumigate

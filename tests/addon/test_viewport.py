@@ -1,0 +1,47 @@
+"""The camera of a viewport is the one of a render through the same eye; drawing itself is tested in a window (tests/gui)."""
+
+import bpy
+import numpy as np
+import pytest
+
+from lumigate import sample_scenes
+from lumigate.addon.extract import extract_scene, extract_shown
+from lumigate.addon.region import region_camera
+
+SIZE = 64, 40
+
+
+def seen_from(scene, **camera):
+    """The camera object's own arrays, and those of a region that looks through it."""
+    eye = scene.camera
+    for name, value in camera.items():
+        setattr(eye.data, name, value)
+    scene.render.resolution_x, scene.render.resolution_y = SIZE
+    scene.render.resolution_percentage = 100
+    graph = bpy.context.evaluated_depsgraph_get()
+    projection = eye.calc_matrix_camera(graph, x=SIZE[0], y=SIZE[1])
+    shown = region_camera(eye.matrix_world.inverted(), projection, *SIZE)
+    return extract_scene(scene), shown
+
+
+@pytest.mark.parametrize("camera", [{"lens": 35, "shift_x": 0.2, "shift_y": -0.1}, {"type": "ORTHO", "ortho_scale": 3.0, "shift_x": 0.1}])
+def test_a_region_sees_what_the_camera_sees(camera):
+    scene = sample_scenes.build("cornell", detail="low")
+    arrays, shown = seen_from(scene, **camera)
+    wanted = arrays.camera
+    assert (shown.orthographic, shown.width, shown.height, shown.border) == (wanted.orthographic, *SIZE, (0, 0, *SIZE))
+    np.testing.assert_allclose(shown.window, wanted.window, rtol=1e-4, atol=1e-5)
+    assert shown.far - shown.near == pytest.approx(wanted.far - wanted.near, rel=1e-3)
+    near = shown.near - wanted.near  # an orthographic region's eye stands on its near plane
+    placed = wanted.matrix[:3, 3] + arrays.origin + near * wanted.matrix[:3, 2]
+    np.testing.assert_allclose(shown.matrix[:3, :3], wanted.matrix[:3, :3], atol=1e-5)
+    np.testing.assert_allclose(shown.matrix[:3, 3], placed, atol=1e-4)
+
+
+def test_what_a_viewport_shows_is_extracted_without_a_render():
+    scene = sample_scenes.build("cornell", detail="low")
+    arrays, camera = seen_from(scene)
+    shown = extract_shown(bpy.context.evaluated_depsgraph_get(), camera)
+    np.testing.assert_array_equal(shown.geometry.triangles, arrays.geometry.triangles)
+    np.testing.assert_allclose(shown.camera.matrix, arrays.camera.matrix, atol=1e-4)
+    assert "Render Result" not in bpy.data.images or not bpy.data.images["Render Result"].has_data
