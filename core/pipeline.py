@@ -20,6 +20,7 @@ from .methods.glossy import Reflections, has_lobes, reflect
 from .methods.importance_sampling import ImportanceSampling
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
+from .methods.virtual_area_lights import VirtualAreaLights
 from .particles import Vpls
 from .passes import WORTH, Passes
 from .picture import Picture, splat
@@ -35,7 +36,7 @@ from .vpl_pool import vpl_pool
 # progress(stage, fraction) -> True to go on, False to cancel.
 StageProgress = Callable[[str, float], bool]
 
-AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "importance-sampling")
+AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "virtual-area-lights", "importance-sampling")
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
 
 
@@ -58,7 +59,7 @@ class _Run:
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     vpls: int = 0
-    clusters: FuzzyClustering | None = None  # whose clusters the debug layers show
+    clusters: FuzzyClustering | VirtualAreaLights | None = None  # whose clusters the debug layers show
     debug: dict[str, np.ndarray] = field(default_factory=dict)
 
     def skip(self, stage: str, why: str) -> None:
@@ -169,7 +170,7 @@ def _pass(run: _Run, scene: Scene, tables: Transport, settings: RenderSettings, 
         mirrored = _glossy(run, tables, points, settings, threads, sampler)
     indirect = nothing
     if wants("DiffuseIndirect", "Indirect", "Irradiance", "Combined") or (behind_glass and wants("GlossyIndirect")):
-        indirect, vpls = _indirect(run, tables, points, settings, threads, sampler)
+        indirect, vpls = _indirect(run, tables, points, seen.shape[1], settings, threads, sampler)
         run.vpls += len(vpls.bounce)
         if settings.debug_layers and not run.debug:
             run.debug = single_lights(tables, vpls, points, seen.shape, threads)
@@ -238,9 +239,9 @@ def _glossy(
 
 
 def _indirect(
-    run: _Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
+    run: _Run, tables: Transport, points: ShadingPoints, width: int, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
 ) -> tuple[np.ndarray, Vpls]:
-    """Indirect irradiance at the points (N, 3), and the VPLs that it came from."""
+    """Indirect irradiance at the points (N, 3), and the VPLs that it came from; width: of the picture in pixels."""
     nothing = np.zeros((len(points.pixel), 3), np.float32)
     if settings.bounces < 1 or settings.vpls < 1:
         run.skip("vpls", "no bounces or no VPLs asked for")
@@ -274,6 +275,16 @@ def _indirect(
                 weighting=settings.weighting,
                 shade_with=settings.shade_with,
                 compensation=settings.gather if settings.compensation else 0,
+                bounces=settings.bounces,
+                seed=settings.seed,
+                threads=threads,
+            )
+        elif settings.method == "virtual-area-lights":
+            solver = run.clusters = VirtualAreaLights(
+                vals=settings.vals,
+                interleave=settings.interleave,
+                width=width,
+                compensation=settings.gather,
                 bounces=settings.bounces,
                 seed=settings.seed,
                 threads=threads,

@@ -51,6 +51,10 @@ class RenderSettings:
     weighting: str = "smooth"  # smooth | distance | plain
     shade_with: str = "clusters"  # clusters | vpls
 
+    # virtual area lights
+    vals: int | None = None  # None: by the lighting's complexity
+    interleave: int = 8  # 1: off
+
     # importance sampling; gather: of the compensation, too
     samples: int = 8
     gather: int = 8

@@ -171,6 +171,19 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
             },
         ),
     ),
+    "virtual-area-lights": (
+        OwnOption("--vals", "vals", {"type": count, "metavar": "M", "help": "area lights (default: as many as the lighting needs)"}),
+        OwnOption(
+            "--interleave",
+            "interleave",
+            {
+                "type": int,
+                "choices": range(1, 9),
+                "metavar": "I",
+                "help": "I x I pixels share the VPLs, 1 to 8; 1 for all of them in every pixel (default: 8)",
+            },
+        ),
+    ),
     "importance-sampling": (
         OwnOption("--samples", "samples", {"type": count, "metavar": "N", "help": "shadow rays a shading point (default: 8)"}),
         OwnOption("--gather", "gather", {"type": count, "metavar": "N", "help": "gather rays a shading point (default: 8)"}),
