@@ -26,6 +26,7 @@ ATTENUATION = 0.5  # of the higher terms, exp(-a ((k - 1) / K)^2), against ringi
 OFFSET = 0.25  # of a receiver towards the light, in half waves of the last term but one
 LEAST_BLOCKED = np.float32(0.02)  # a search region that is less blocked is lit
 NEAREST_BLOCKER = np.float32(0.05)  # of the receiver's distance: bounds the filter's size
+OWN_BEGINS, OWN_ENDS = np.float32(0.8), np.float32(0.95)  # of the receiver's distance: mean depths of blockers that are ever less taken for some
 COVERED, DEPTH, BASIS = 0, 1, 2  # channels: share of a texel in the disk, mean depth, first basis function
 CHANNELS_A_TERM = 4  # sin, cos, z sin, z cos
 _0 = np.float32(0.0)
@@ -207,7 +208,7 @@ def soft_visibility(maps, m, px, py, pz, sums):
     sin1, cos1 = np.sin(depth), np.cos(depth)
     sin2, cos2 = _2 * sin1 * cos1, cos1 * cos1 - sin1 * sin1
     # Of what would block half-way: the region in which blockers are looked for.
-    widening = inverse
+    widening, own = inverse, _0
     terms = (len(sums) - BASIS) // CHANNELS_A_TERM
     for search in (True, False):
         width, height = _filter_size(x, y, z, maps.half[m, 0], maps.half[m, 1], widening)
@@ -225,7 +226,8 @@ def soft_visibility(maps, m, px, py, pz, sums):
             sine, cosine = sine * cos2 + cosine * sin2, cosine * cos2 - sine * sin2
         lit = _HALF + lit * share
         if not search:
-            return min(max(lit * maps.scale, _0), _1)
+            lit = min(max(lit * maps.scale, _0), _1)
+            return max(lit, own)
         blocked = _1 - lit
         if blocked < LEAST_BLOCKED:
             return _1
@@ -233,4 +235,6 @@ def soft_visibility(maps, m, px, py, pz, sums):
         blocker = (_HALF * mean_depth - lit_depth * share) / blocked * far
         blocker = min(max(blocker, NEAREST_BLOCKER * distance), distance)
         widening = _1 / blocker - inverse
+        # What lies no nearer than this is the receiver's own surface, at a slant.
+        own = min(max((blocker * inverse - OWN_BEGINS) / (OWN_ENDS - OWN_BEGINS), _0), _1)
     return _1
