@@ -15,6 +15,7 @@ from .inspection import foresee
 from .jit import CompileTimer
 from .lamps import build_emitters, direct_irradiance, direct_light, world_tables
 from .layers import Layers
+from .methods.area_shadows import area_lamps, direct_by_soft_maps
 from .methods.fuzzy_clustering import FuzzyClustering
 from .methods.glossy import Reflections, has_lobes, reflect
 from .methods.importance_sampling import ImportanceSampling
@@ -25,13 +26,13 @@ from .particles import Vpls
 from .passes import WORTH, Passes
 from .picture import Picture, splat
 from .rays import RayScene
-from .scene import POINT, SPOT, TRANSPARENT, Scene, Skipped
+from .scene import AREA, POINT, SPOT, TRANSPARENT, Scene, Skipped
 from .settings import RenderSettings
 from .threads import Cancelled, thread_count
 from .transport import Transport, transport
 from .view.points import ShadingPoints
 from .view.primary import view
-from .vpl_pool import vpl_pool
+from .vpl_pool import vpl_pool, vpl_sequence
 
 # progress(stage, fraction) -> True to go on, False to cancel.
 StageProgress = Callable[[str, float], bool]
@@ -196,10 +197,15 @@ def _direct(
     if lobes:
         by_rays, highlights, rays = direct_light(tables, points, samples, seed, threads, tick, reflections=settings.reflections)
         run.rays["shadow"] += rays
+    mapped = None
     if settings.visibility == "shadow-maps" and len(point_lamps(tables.emitters)):
-        by_maps, rays = direct_by_maps(tables, points, seed=seed, threads=threads)
+        mapped, kinds = direct_by_maps, (POINT, SPOT)
+    elif settings.soft_shadows and len(area_lamps(tables.emitters)):
+        mapped, kinds = direct_by_soft_maps, (AREA,)
+    if mapped is not None:
+        by_maps, rays = mapped(tables, points, seed=seed, threads=threads)
         run.rays["shadow"] += rays
-        others = scene.lamps.take(~np.isin(scene.lamps.kind, (POINT, SPOT)))
+        others = scene.lamps.take(~np.isin(scene.lamps.kind, kinds))
         tables, lobes = tables._replace(emitters=build_emitters(replace(scene, lamps=others))), False
     if not lobes:
         by_rays, rays = direct_irradiance(tables, points, samples, seed, threads, tick)
@@ -239,7 +245,13 @@ def _glossy(
 
 
 def _indirect(
-    run: _Run, tables: Transport, points: ShadingPoints, width: int, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
+    run: _Run,
+    tables: Transport,
+    points: ShadingPoints,
+    width: int,
+    settings: RenderSettings,
+    threads: int,
+    sampler: ImportanceSampling | None,
 ) -> tuple[np.ndarray, Vpls]:
     """Indirect irradiance at the points (N, 3), and the VPLs that it came from; width: of the picture in pixels."""
     nothing = np.zeros((len(points.pixel), 3), np.float32)
@@ -252,6 +264,8 @@ def _indirect(
     with run.stage("vpls") as tick:
         if sampler:
             vpls, counts = sampler.prepare(tables, points, settings.vpls, tick)
+        elif settings.method == "virtual-area-lights":
+            vpls, counts = vpl_sequence(tables, points, settings.vpls, settings.bounces, settings.seed, threads)
         else:
             vpls, counts = vpl_pool(tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick)
         run.rays["light"] += counts["light"]

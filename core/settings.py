@@ -54,6 +54,7 @@ class RenderSettings:
     # virtual area lights
     vals: int | None = None  # None: by the lighting's complexity
     interleave: int = 8  # 1: off
+    soft_shadows: bool = False  # of area lamps in `Direct`, by maps
 
     # importance sampling; gather: of the compensation, too
     samples: int = 8

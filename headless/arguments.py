@@ -183,6 +183,11 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
                 "help": "I x I pixels share the VPLs, 1 to 8; 1 for all of them in every pixel (default: 8)",
             },
         ),
+        OwnOption(
+            "--soft-shadows",
+            "soft_shadows",
+            {"action": "store_const", "const": True, "help": "direct shadows of area lamps by soft shadow maps, too: no noise, less exact"},
+        ),
     ),
     "importance-sampling": (
         OwnOption("--samples", "samples", {"type": count, "metavar": "N", "help": "shadow rays a shading point (default: 8)"}),

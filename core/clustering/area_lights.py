@@ -7,14 +7,10 @@ cluster is w_x dx + w_a da, dx in units of the scene's extent, da the angle of t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..jit import kernel
-
-if TYPE_CHECKING:
-    from ..particles import Vpls
 
 WEIGHT_POSITION = 0.7  # Section 5.1
 WEIGHT_ANGLE = 0.3
@@ -137,7 +133,9 @@ def _rectangles(position, normal, centre, axis, assignment, medoid) -> AreaLight
     flat = offset - height[:, None] * normals[assignment]
     moments = _means(np.einsum("na,nb->nab", flat, flat).reshape(-1, 9), assignment, sizes).reshape(-1, 3, 3)
     # The normal is the direction of the smallest, because negative, moment.
-    _, vectors = np.linalg.eigh(moments - (np.trace(moments, axis1=1, axis2=2)[:, None, None] + 1) * np.einsum("ma,mb->mab", normals, normals))
+    _, vectors = np.linalg.eigh(
+        moments - (np.trace(moments, axis1=1, axis2=2)[:, None, None] + 1) * np.einsum("ma,mb->mab", normals, normals)
+    )
     first = vectors[:, :, 2]
     frame = np.stack([first, np.cross(normals, first), normals], axis=1)
     along = np.einsum("nc,nac->na", flat, frame[assignment][:, :2])

@@ -26,7 +26,10 @@ ATTENUATION = 0.5  # of the higher terms, exp(-a ((k - 1) / K)^2), against ringi
 OFFSET = 0.25  # of a receiver towards the light, in half waves of the last term but one
 LEAST_BLOCKED = np.float32(0.02)  # a search region that is less blocked is lit
 NEAREST_BLOCKER = np.float32(0.05)  # of the receiver's distance: bounds the filter's size
-OWN_BEGINS, OWN_ENDS = np.float32(0.8), np.float32(0.95)  # of the receiver's distance: mean depths of blockers that are ever less taken for some
+OWN_BEGINS, OWN_ENDS = (
+    np.float32(0.8),
+    np.float32(0.95),
+)  # of the receiver's distance: mean depths of blockers that are ever less taken for some
 COVERED, DEPTH, BASIS = 0, 1, 2  # channels: share of a texel in the disk, mean depth, first basis function
 CHANNELS_A_TERM = 4  # sin, cos, z sin, z cos
 _0 = np.float32(0.0)

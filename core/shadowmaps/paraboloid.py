@@ -106,7 +106,15 @@ def _cut_out(scene, packet, rows, surface, x, y, z, direction, inside, m, row0, 
 
 
 def paraboloid_maps(
-    scene: Transport, origin: np.ndarray, frame: np.ndarray, resolution: int, cutouts: bool, *, kinds: int = DIFFUSE, seed: int = 0, threads: int = 0
+    scene: Transport,
+    origin: np.ndarray,
+    frame: np.ndarray,
+    resolution: int,
+    cutouts: bool,
+    *,
+    kinds: int = DIFFUSE,
+    seed: int = 0,
+    threads: int = 0,
 ) -> tuple[np.ndarray, int]:
     """Depth maps (M, R, R) float32 (m; infinite where nothing is, EMPTY outside of the disk), and the rays that filled them.
 
