@@ -8,6 +8,9 @@ sampling leaves no noise at edges, see `interleaving`.
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -197,6 +200,13 @@ class VirtualAreaLights:
         self.threads = threads
         self.rays = 0
         self.pairs = 0
+        self.seconds: dict[str, float] = {}  # of the paper's stages (its Table 2)
+
+    @contextmanager
+    def _stage(self, name: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
 
     def prepare(self, scene: Transport, vpls: Vpls, points: ShadingPoints) -> None:
         """Groups the VPLs and makes the VALs' shadow maps; `points` only sets the scale of the clamp."""
@@ -204,13 +214,15 @@ class VirtualAreaLights:
         self.cutouts = bool((scene.materials.flags & TRANSPARENT).any())
         self.g_max = np.float32(clamp_of(vpls, points))
         self.extent = max(float(np.ptp(vpls.position, axis=0).max()), 1e-6)
-        self.area_lights = self.group(vpls)
+        with self._stage("clustering"):
+            self.area_lights = self.group(vpls)
         order = np.argsort(self.area_lights.assignment, kind="stable")
         shares = self.interleave**2
         first = (np.arange(shares + 1) * len(order) // shares).astype(np.int32)
         front, back = _slots(self.area_lights)
         self.lights = SharedLights(vpls.take(order), self.area_lights.assignment[order], front, back, first)
-        self.make_maps(vpls)
+        with self._stage("shadow maps"):
+            self.make_maps(vpls)
 
     def group(self, vpls: Vpls) -> AreaLights:
         """The VALs of these VPLs; k-means starts at VPLs of the first bounce, whose places in the sequence change least."""
@@ -237,16 +249,19 @@ class VirtualAreaLights:
         self.pairs += n * len(self.lights.val)
         if self.interleave == 1 or n == 0:
             return self._shade(points, all_shares(points), progress) + self._lost(points, self.compensation)
-        pixels = pixels_of(points, self.width, self.interleave)
-        own = own_shares(points, pixels)
-        light = np.empty((n, 3), np.float32)
-        light[own.point] = self._shade(points, own, progress)
-        # A few gather rays a point are enough, for the points of a block share them.
-        block = self.interleave**2
-        lost = self._lost(points, -(-self.compensation // block)) / np.float32(block)
-        out, missing = blur(points, pixels, light + lost, self.extent, self.threads)
-        rest = missing_shares(points, pixels, missing)
-        _add_pairs(rest.point, self._shade(points, rest, None) + lost[rest.point], out)
+        with self._stage("indirect light"):
+            pixels = pixels_of(points, self.width, self.interleave)
+            own = own_shares(points, pixels)
+            light = np.empty((n, 3), np.float32)
+            light[own.point] = self._shade(points, own, progress)
+            # A few gather rays a point are enough, for the points of a block share them.
+            block = self.interleave**2
+            lost = self._lost(points, -(-self.compensation // block)) / np.float32(block)
+        with self._stage("blur"):
+            out, missing = blur(points, pixels, light + lost, self.extent, self.threads)
+        with self._stage("missing shares"):
+            rest = missing_shares(points, pixels, missing)
+            _add_pairs(rest.point, self._shade(points, rest, None) + lost[rest.point], out)
         return out
 
     def _shade(self, points: ShadingPoints, batches: Batches, progress: Progress | None) -> np.ndarray:

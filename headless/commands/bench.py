@@ -18,9 +18,17 @@ from ..fuzzy_bench import fuzzy_rows
 from ..kernel_bench import ray_rows
 from ..preview_bench import preview_rows
 from ..results import write_json
+from ..vals_bench import vals_rows
 
 # Keys as in `arguments.SUITES`.
-ROWS = {"kernels": ray_rows, "clustering": clustering_rows, "fuzzy": fuzzy_rows, "previews": preview_rows, "curves": curves_rows}
+ROWS = {
+    "kernels": ray_rows,
+    "clustering": clustering_rows,
+    "fuzzy": fuzzy_rows,
+    "vals": vals_rows,
+    "previews": preview_rows,
+    "curves": curves_rows,
+}
 PICTURED = ("curves",)  # suites that leave pictures in DIR, too
 PACKAGES = ("bpy", "numpy", "numba", "llvmlite", "scipy", "embreex", "OpenImageIO")
 

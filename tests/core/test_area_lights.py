@@ -1,5 +1,7 @@
 """Clustering into virtual area lights: the paper's distance, rectangles, and the case of its Fig. 8."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -50,7 +52,7 @@ def test_no_light_is_lost_while_a_spot_walks_from_wall_to_ceiling():
         centres.append(lights.centre)
     assert set(used) == {M}
     # They float: from frame to frame the median light moves about as far as the spot's axis does on the wall.
-    steps = [np.median(np.linalg.norm(b - a, axis=1)) for a, b in zip(centres, centres[1:])]
+    steps = [np.median(np.linalg.norm(b - a, axis=1)) for a, b in itertools.pairwise(centres)]
     assert max(steps) < 0.15
     # Random starts scatter them.
     rng = np.random.default_rng(0)

@@ -1,5 +1,7 @@
 """Virtual area lights against the same VPLs with shadow rays."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -73,7 +75,7 @@ def solve(room, points, vpls, **options):
 
 def test_error_falls_with_the_number_of_area_lights(room, points, vpls, exact):
     errors = [error(solve(room, points, vpls, vals=m)[1], exact) for m in (2, 10, 30, 100)]
-    assert all(b < 1.05 * a for a, b in zip(errors, errors[1:]))
+    assert all(b < 1.05 * a for a, b in itertools.pairwise(errors))
     assert errors[2] < 0.005 and errors[3] < 0.002
 
 
