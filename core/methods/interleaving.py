@@ -82,9 +82,13 @@ def all_shares(points: ShadingPoints) -> Batches:
 
 
 def batches(point: np.ndarray, share: np.ndarray, x: np.ndarray, y: np.ndarray) -> Batches:
-    """Batches of pairs (P,) of a point, at pixel (x, y), and a share: of points of one tile of the picture, for coherent rays."""
-    tiles = int(x.max(initial=0)) // TILE + 1
-    keys = ((y // TILE).astype(np.int64) * tiles + x // TILE) * LARGEST**2 + share
+    """Batches of pairs (P,) of a point, at pixel (x, y), and a share: of points of one tile of the picture, for coherent rays.
+
+    Share by share, so that the shadow maps of its few area lights stay in the processor's cache.
+    """
+    columns = int(x.max(initial=0)) // TILE + 1
+    tiles = (int(y.max(initial=0)) // TILE + 1) * columns
+    keys = share.astype(np.int64) * tiles + (y // TILE) * columns + x // TILE
     order = radix_order(keys)
     keys = keys[order]
     # A new batch where the key changes, and after every TOGETHER pairs of one key.
@@ -93,72 +97,68 @@ def batches(point: np.ndarray, share: np.ndarray, x: np.ndarray, y: np.ndarray) 
     parts = -(-sizes // TOGETHER)
     within = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
     first = np.append(np.repeat(starts, parts) + TOGETHER * within, len(keys))
-    return Batches(point[order], first, (keys[first[:-1]] % LARGEST**2).astype(np.int32))
+    return Batches(point[order], first, (keys[first[:-1]] // tiles).astype(np.int32))
 
 
 @inlined
-def _alike(points, i, k, reach2):
-    """Whether the points i and k are taken for one smooth surface."""
-    cosine = points.ns[i, 0] * points.ns[k, 0] + points.ns[i, 1] * points.ns[k, 1] + points.ns[i, 2] * points.ns[k, 2]
-    dx = points.position[k, 0] - points.position[i, 0]
-    dy = points.position[k, 1] - points.position[i, 1]
-    dz = points.position[k, 2] - points.position[i, 2]
+def _alike(table, i, k, gx, gy, gz, reach2):
+    """Whether the points at places i and k are taken for one smooth surface; g: the geometric normal at i."""
+    dx, dy, dz = table[k, 0] - table[i, 0], table[k, 1] - table[i, 1], table[k, 2] - table[i, 2]
+    cosine = table[i, 3] * table[k, 3] + table[i, 4] * table[k, 4] + table[i, 5] * table[k, 5]
     r2 = dx * dx + dy * dy + dz * dz
-    off = points.ng[i, 0] * dx + points.ng[i, 1] * dy + points.ng[i, 2] * dz
+    off = gx * dx + gy * dy + gz * dz
     return cosine >= np.float32(BETA) and r2 <= reach2 and off * off <= np.float32(PLANE * PLANE) * r2
 
 
 @kernel
-def _blur(points, pixels, light, begin, end, reach2, out, missing):
-    """The mean of each share over the points like i in i's window, summed over the shares, for the points begin..end-1."""
-    size, width = pixels.interleave, pixels.width
-    height = (len(pixels.first) - 2) // width + 1
-    channels = light.shape[1]
-    total = np.empty(channels, np.float32)
-    for i in range(begin, end):
-        pixel = points.pixel[i]
-        x, y = pixel % width, pixel // width
-        for c in range(channels):
-            out[i, c] = _0
+def _blur(points, pixels, table, begin, end, reach2, out, missing):
+    """The mean of each share over the points like i in i's window, summed over the shares, for the points at places begin..end-1.
+
+    table: (N, 9) float32 position, shading normal and light of the points by pixel.
+    """
+    size, width, first = pixels.interleave, pixels.width, pixels.first
+    last = len(first) - 1
+    height = (last - 1) // width + 1
+    for place in range(begin, end):
+        i = pixels.order[place]
+        gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
+        x, y = points.pixel[i] % width, points.pixel[i] // width
+        red = green = blue = _0
         lacks = np.uint64(0)
         for dy in range(-(size // 2), size - size // 2):
             for dx in range(-(size // 2), size - size // 2):
                 # Here, else a block further on, on the other side of the point, in one or both axes.
                 found = 0
+                r = g = b = _0
                 for further in range(4):
                     u = x + dx + (0 if further & 1 == 0 else size if dx < 0 else -size)
                     v = y + dy + (0 if further & 2 == 0 else size if dy < 0 else -size)
-                    if u < 0 or v < 0 or u >= width or v >= height:
-                        continue
                     at = v * width + u
-                    if at + 1 >= len(pixels.first):
+                    if u < 0 or v < 0 or u >= width or v >= height or at >= last:
                         continue
-                    for place in range(pixels.first[at], pixels.first[at + 1]):
-                        k = pixels.order[place]
-                        if _alike(points, i, k, reach2):
-                            if found == 0:
-                                total[:] = _0
+                    for k in range(first[at], first[at + 1]):
+                        if _alike(table, place, k, gx, gy, gz, reach2):
                             found += 1
-                            for c in range(channels):
-                                total[c] += light[k, c]
+                            r, g, b = r + table[k, 6], g + table[k, 7], b + table[k, 8]
                     if found > 0:
                         break
                 if found > 0:
                     scale = _1 / np.float32(found)
-                    for c in range(channels):
-                        out[i, c] += scale * total[c]
+                    red, green, blue = red + scale * r, green + scale * g, blue + scale * b
                 else:
                     lacks |= np.uint64(1) << np.uint64(((y + dy) % size) * size + (x + dx) % size)
+        out[i, 0], out[i, 1], out[i, 2] = red, green, blue
         missing[i] = lacks
 
 
 def blur(points: ShadingPoints, pixels: Pixels, light: np.ndarray, extent: float, threads: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Light of all shares (N, C) from that of each point's own share (N, C), but for the shares `missing` (N,) uint64, bit by bit.
+    """Light of all shares (N, 3) from that of each point's own share (N, 3), but for the shares `missing` (N,) uint64, bit by bit.
 
     extent: of the scene (m).
     """
     n = len(points.pixel)
     out, missing = np.empty_like(light), np.empty(n, np.uint64)
     reach2 = np.float32((ALPHA * extent) ** 2)
-    run_chunks(lambda begin, end: _blur(points, pixels, light, begin, end, reach2, out, missing), n, CHUNK, threads)
+    table = np.concatenate([points.position, points.ns, light], axis=1)[pixels.order]
+    run_chunks(lambda begin, end: _blur(points, pixels, table, begin, end, reach2, out, missing), n, CHUNK, threads)
     return out, missing

@@ -30,8 +30,7 @@ OWN_BEGINS, OWN_ENDS = (
     np.float32(0.8),
     np.float32(0.95),
 )  # of the receiver's distance: mean depths of blockers that are ever less taken for some
-COVERED, DEPTH, BASIS = 0, 1, 2  # channels: share of a texel in the disk, mean depth, first basis function
-CHANNELS_A_TERM = 4  # sin, cos, z sin, z cos
+COVERED, BASIS = 0, 1  # channels: share of a texel in the disk; sine and cosine of each term; the same again, times the depth
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _2 = np.float32(2.0)
@@ -74,7 +73,7 @@ def _build(maps, begin, end, amplitudes, far, tables):
     """Summed-area tables of the maps begin..end-1; their farthest depths into far (S,)."""
     resolution = maps.shape[1] // FOLD
     channels = tables.shape[3]
-    terms = len(amplitudes)
+    terms, half = len(amplitudes), channels // 2
     row_sum = np.empty(channels, np.float32)
     cell = np.empty(channels, np.float32)
     share = _1 / np.float32(FOLD * FOLD)
@@ -103,14 +102,14 @@ def _build(maps, begin, end, amplitudes, far, tables):
                         # On to the next odd multiple by turning through twice the angle.
                         s2, c2 = _2 * s * c, c * c - s * s
                         cell[COVERED] += _1
-                        cell[DEPTH] += z
+                        cell[half + COVERED] += z
                         for k in range(terms):
-                            at = BASIS + CHANNELS_A_TERM * k
+                            at = BASIS + 2 * k
                             ws, wc = amplitudes[k] * s, amplitudes[k] * c
                             cell[at] += ws
                             cell[at + 1] += wc
-                            cell[at + 2] += z * ws
-                            cell[at + 3] += z * wc
+                            cell[half + at] += z * ws
+                            cell[half + at + 1] += z * wc
                             s, c = s * c2 + c * s2, c * c2 - s * s2
                 for channel in range(channels):
                     row_sum[channel] += share * cell[channel]
@@ -131,7 +130,7 @@ def soft_shadow_maps(
         raise ValueError(f"terms: expected one of {TERMS}, got {terms}")
     amplitudes = _amplitudes(terms)
     side = maps.shape[1] // FOLD + 1
-    tables = np.empty((len(maps), side, side, BASIS + CHANNELS_A_TERM * terms), np.float32)
+    tables = np.empty((len(maps), side, side, 2 * (BASIS + 2 * terms)), np.float32)
     far = np.empty(len(maps), np.float32)
     run_chunks(lambda begin, end: _build(maps, begin, end, amplitudes, far, tables), len(maps), 1, threads)
     offset = OFFSET / (2 * terms)
@@ -148,14 +147,14 @@ def _table_edge(x, resolution):
 
 
 @kernel
-def _box_sums(tables, m, x0, x1, y0, y1, sums):
-    """Sums over a box of texels into sums (C,): channels as long as `sums`; tables are linear between their entries."""
+def _box_sums(tables, m, x0, x1, y0, y1, channels, sums):
+    """Sums of the first `channels` over a box of texels into sums (C,); tables are linear between their entries."""
     resolution = tables.shape[1] - 1
     left, f0 = _table_edge(x0, resolution)
     right, f1 = _table_edge(x1, resolution)
     top, g0 = _table_edge(y0, resolution)
     bottom, g1 = _table_edge(y1, resolution)
-    sums[:] = _0
+    sums[:channels] = _0
     for a in range(4):
         row = (top if a < 2 else bottom) + (a & 1)
         g = g0 if a < 2 else g1
@@ -165,7 +164,7 @@ def _box_sums(tables, m, x0, x1, y0, y1, sums):
             f = f0 if b < 2 else f1
             w = wy * (f if b & 1 else _1 - f) * (-_1 if b < 2 else _1)
             entry = tables[m, row, column]
-            for c in range(len(sums)):
+            for c in range(channels):
                 sums[c] += w * entry[c]
 
 
@@ -212,20 +211,21 @@ def soft_visibility(maps, m, px, py, pz, sums):
     sin2, cos2 = _2 * sin1 * cos1, cos1 * cos1 - sin1 * sin1
     # Of what would block half-way: the region in which blockers are looked for.
     widening, own = inverse, _0
-    terms = (len(sums) - BASIS) // CHANNELS_A_TERM
+    channels = len(sums) // 2
+    terms = (channels - BASIS) // 2
     for search in (True, False):
         width, height = _filter_size(x, y, z, maps.half[m, 0], maps.half[m, 1], widening)
         width, height = max(width * texels, _HALF), max(height * texels, _HALF)
-        _box_sums(maps.tables, m, column - width, column + width, row - height, row + height, sums)
+        _box_sums(maps.tables, m, column - width, column + width, row - height, row + height, 2 * channels if search else channels, sums)
         if sums[COVERED] < np.float32(1e-3):
             return _1
         share = _1 / sums[COVERED]
         lit = lit_depth = _0
         sine, cosine = sin1, cos1
         for k in range(terms):
-            at = BASIS + CHANNELS_A_TERM * k
+            at = BASIS + 2 * k
             lit += cosine * sums[at] - sine * sums[at + 1]
-            lit_depth += cosine * sums[at + 2] - sine * sums[at + 3]
+            lit_depth += cosine * sums[channels + at] - sine * sums[channels + at + 1]  # of the search; read by nothing else
             sine, cosine = sine * cos2 + cosine * sin2, cosine * cos2 - sine * sin2
         lit = _HALF + lit * share
         if not search:
@@ -234,7 +234,7 @@ def soft_visibility(maps, m, px, py, pz, sums):
         blocked = _1 - lit
         if blocked < LEAST_BLOCKED:
             return _1
-        mean_depth = sums[DEPTH] * share
+        mean_depth = sums[channels + COVERED] * share
         blocker = (_HALF * mean_depth - lit_depth * share) / blocked * far
         blocker = min(max(blocker, NEAREST_BLOCKER * distance), distance)
         widening = _1 / blocker - inverse
