@@ -43,8 +43,10 @@ class AreaLights:
 
 
 @kernel(fast=False)
-def _assign(position, normal, centre, axis, weight_position, weight_angle, assignment, medoid):
+def _assign(position, normal, centre, axis, weight_position, weight_angle, assignment, medoid, distance):
     """The nearest centre of each VPL (equal distances: the first) into assignment (N,), each centre's nearest member into medoid (M,).
+
+    distance: (N,) float32, set to those to the centres.
 
     True if any assignment changed.
     """
@@ -56,11 +58,11 @@ def _assign(position, normal, centre, axis, weight_position, weight_angle, assig
             dx, dy, dz = position[i, 0] - centre[k, 0], position[i, 1] - centre[k, 1], position[i, 2] - centre[k, 2]
             cosine = normal[i, 0] * axis[k, 0] + normal[i, 1] * axis[k, 1] + normal[i, 2] * axis[k, 2]
             angle = np.arccos(min(max(cosine, -_1), _1))
-            distance = weight_position * np.sqrt(dx * dx + dy * dy + dz * dz) + weight_angle * angle
-            if distance < best:
-                best, nearest = distance, k
+            d = weight_position * np.sqrt(dx * dx + dy * dy + dz * dz) + weight_angle * angle
+            if d < best:
+                best, nearest = d, k
         changed |= assignment[i] != nearest
-        assignment[i] = nearest
+        assignment[i], distance[i] = nearest, best
         if best < closest[nearest]:
             closest[nearest], medoid[nearest] = best, i
     return changed
@@ -93,7 +95,7 @@ def cluster_area_lights(
     position, normal: (N, 3) float32 (m; unit).  extent: of the scene (m).
 
     The same first guess gives similar clusters for similar VPLs: restarted at each frame, they are coherent in time and
-    none is lost (Section 5.2).  There are fewer than M where several guesses lie at one place.
+    none is lost (Section 5.2).  There are fewer than M where fewer VPLs differ.
 
     Raises:
         ValueError: no VPL to start from, or an extent that is not above 0.
@@ -102,15 +104,19 @@ def cluster_area_lights(
         raise ValueError(f"expected at least one VPL to start from and an extent above 0, got {len(first_guess)} and {extent}")
     centre, axis = position[first_guess].astype(np.float32), normal[first_guess].astype(np.float32)
     assignment = np.full(len(position), -1, np.int32)
-    medoid = np.zeros(len(centre), np.int64)
+    medoid, distance = np.zeros(len(centre), np.int64), np.empty(len(position), np.float32)
     weights = np.float32(weight_position / extent), np.float32(weight_angle)
     for _ in range(iterations):
-        if not _assign(position, normal, centre, axis, *weights, assignment, medoid):
+        if not _assign(position, normal, centre, axis, *weights, assignment, medoid, distance):
             break
         sizes = np.bincount(assignment, minlength=len(centre))
         filled = (sizes > 0)[:, None]
         centre = np.where(filled, _means(position, assignment, sizes), centre).astype(np.float32)
         axis = np.where(filled, _unit(_means(normal, assignment, sizes), axis), axis).astype(np.float32)
+        # A cluster that lost its members starts anew where the others are farthest away.
+        empty = np.flatnonzero(sizes == 0)
+        lonely = np.argsort(-distance, kind="stable")[: len(empty)]
+        centre[empty], axis[empty] = position[lonely], normal[lonely]
     filled = np.bincount(assignment, minlength=len(centre)) > 0
     label = np.cumsum(filled, dtype=np.int32) - np.int32(1)
     return _rectangles(position, normal, centre[filled], axis[filled], label[assignment], medoid[filled])
@@ -120,7 +126,16 @@ def nearest_area_light(lights: AreaLights, position: np.ndarray, normal: np.ndar
     """(N,) int32: the VAL that each surface point would belong to, with the weights of the paper."""
     found = np.full(len(position), -1, np.int32)
     weights = np.float32(WEIGHT_POSITION / extent), np.float32(WEIGHT_ANGLE)
-    _assign(position, normal, lights.centre, lights.frame[:, 2], *weights, found, np.zeros(len(lights), np.int64))
+    _assign(
+        position,
+        normal,
+        lights.centre,
+        lights.frame[:, 2],
+        *weights,
+        found,
+        np.zeros(len(lights), np.int64),
+        np.empty(len(position), np.float32),
+    )
     return found
 
 

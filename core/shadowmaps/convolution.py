@@ -24,6 +24,7 @@ FOLD = 2  # texels of the depth map along the edge of one of the tables
 SPAN = np.float32(0.85)  # of the half period that depths take
 ATTENUATION = 0.5  # of the higher terms, exp(-a ((k - 1) / K)^2), against ringing
 OFFSET = 0.25  # of a receiver towards the light, in half waves of the last term but one
+REACH = np.float32(2.0)  # mean depths: what is beyond is all alike, so that a few far texels do not take the range of the others
 LEAST_BLOCKED = np.float32(0.02)  # a search region that is less blocked is lit
 NEAREST_BLOCKER = np.float32(0.05)  # of the receiver's distance: bounds the filter's size
 OWN_BEGINS, OWN_ENDS = (
@@ -42,7 +43,7 @@ class SoftShadowMaps(NamedTuple):
     """Shadow maps of S rectangular lights.
 
     origin: (S, 3) float32 (m).  frame: (S, 3, 3) float32, rows: the rectangle's axes and the map's.  half: (S, 2) float32, half
-    sides of the rectangle (m).  far: (S,) float32, depth that counts as 1 (m).
+    sides of the rectangle (m).  far: (S,) float32, depth from which on all is alike (m).
     tables: (S, R + 1, R + 1, C) float32, summed-area tables.  scale: what makes an unblocked point's series 1.
     offset: of a receiver's warped depth.
     """
@@ -70,7 +71,7 @@ def _warped(depth, far):
 
 @kernel
 def _build(maps, begin, end, amplitudes, far, tables):
-    """Summed-area tables of the maps begin..end-1; their farthest depths into far (S,)."""
+    """Summed-area tables of the maps begin..end-1; the depths from which on all is alike into far (S,)."""
     resolution = maps.shape[1] // FOLD
     channels = tables.shape[3]
     terms, half = len(amplitudes), channels // 2
@@ -78,13 +79,16 @@ def _build(maps, begin, end, amplitudes, far, tables):
     cell = np.empty(channels, np.float32)
     share = _1 / np.float32(FOLD * FOLD)
     for m in range(begin, end):
-        farthest = _0
+        farthest = total = _0
+        hits = 0
         for row in range(maps.shape[1]):
             for column in range(maps.shape[1]):
                 z = maps[m, row, column]
-                if z < np.float32(np.inf):
+                if _0 <= z < np.float32(np.inf):
                     farthest = max(farthest, z)
-        far[m] = farthest if farthest > _0 else _1
+                    total += z
+                    hits += 1
+        far[m] = min(farthest, REACH * total / np.float32(hits)) if farthest > _0 else _1
         tables[m, 0] = _0
         for row in range(resolution):
             row_sum[:] = _0

@@ -73,8 +73,10 @@ def test_rectangle_bounds_its_members():
     assert lights.depth[0] < 1e-5 and lights.spread[0] == pytest.approx(1)
 
 
-def test_equal_guesses_leave_fewer_lights():
+def test_lights_without_members_start_anew_or_are_dropped():
     position, normal = spot_vpls(0.0, 64)
-    assert len(cluster_area_lights(position, normal, np.array([3, 3, 3]), 2.0)) == 1
+    assert len(cluster_area_lights(position, normal, np.array([3, 3, 3]), 2.0)) == 3
+    position[:], normal[:] = position[0], normal[0]
+    assert len(cluster_area_lights(position, normal, np.array([3, 4, 5]), 2.0)) == 1
     with pytest.raises(ValueError, match="start from"):
         cluster_area_lights(position, normal, np.zeros(0, int), 2.0)
