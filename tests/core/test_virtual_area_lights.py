@@ -112,8 +112,7 @@ def test_a_centre_inside_geometry_is_left(build):
         field[...] = 0
     side = np.where(np.arange(64) % 2, 1, -1)
     lights.position[:] = np.column_stack([side * rng.uniform(0.6, 1, 64), rng.uniform(-1, 1, 64), np.zeros(64)])
-    lights.normal[:, 2] = lights.flux[:] = lights.bounce[:, None] = 1
-    lights.bounce[:], lights.error[:] = 1, 1e-6
+    lights.normal[:, 2], lights.flux[:], lights.bounce[:], lights.error[:] = 1, 1, 1, 1e-6
     with RayScene(geometry.vertices, geometry.triangles) as rays:
         tables = transport(geometry, scene.materials.tables, rays.tables, build_emitters(scene))
         solver = VirtualAreaLights(vals=1, compensation=0)
