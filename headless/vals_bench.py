@@ -124,7 +124,7 @@ class RandomStarts(VirtualAreaLights):
     def group(self, vpls: Vpls) -> AreaLights:
         """The VALs of these VPLs."""
         rng = np.random.default_rng(vpls.position.view(np.uint32).sum(dtype=np.uint64))
-        return cluster_area_lights(vpls.position, vpls.normal, rng.permutation(len(vpls.bounce))[: self.vals], self.extent)
+        return cluster_area_lights(vpls.position, vpls.surface_normal, rng.permutation(len(vpls.bounce))[: self.vals], self.extent)
 
 
 def moving(scene: Scene, frames: int) -> Iterator[Scene]:

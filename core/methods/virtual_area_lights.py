@@ -42,6 +42,7 @@ LIFT = 1e-3  # of the scene's extent, from the VAL's surface to its map
 KERNEL = 0.5  # of a VAL's rectangle, for its shadows: VPLs are sparse at the borders; least error in every scene measured
 BATCHES = 16  # in one piece of work
 GATHER_CHUNK = 1024
+LEAST_GATHERED = 1 << 14  # gather rays in all
 SHOWN = 4  # VALs of the most flux, each with debug layers of its own
 VALS = (8, 128)  # bounds of M where it is not given
 NEIGHBOURS = 0.2  # distance of VPLs, as k-means measures it, that one VAL serves
@@ -225,11 +226,14 @@ class VirtualAreaLights:
             self.make_maps(vpls)
 
     def group(self, vpls: Vpls) -> AreaLights:
-        """The VALs of these VPLs; k-means starts at VPLs of the first bounce, whose places in the sequence change least."""
+        """The VALs of these VPLs, by the normals of their surfaces, which bound the light of glossy ones, too.
+
+        k-means starts at VPLs of the first bounce, whose places in the sequence change least.
+        """
         first = np.flatnonzero(vpls.bounce == vpls.bounce.min())
         count = min(self.vals or wanted_area_lights(vpls, self.extent), len(vpls.bounce))
         guess = first if len(first) >= count else np.arange(len(vpls.bounce))
-        return cluster_area_lights(vpls.position, vpls.normal, guess[np.arange(count) * len(guess) // count], self.extent)
+        return cluster_area_lights(vpls.position, vpls.surface_normal, guess[np.arange(count) * len(guess) // count], self.extent)
 
     def make_maps(self, vpls: Vpls) -> None:
         """The shadow maps of the VALs, those of the half-spaces behind them last."""
@@ -254,9 +258,10 @@ class VirtualAreaLights:
             own = own_shares(points, pixels)
             light = np.empty((n, 3), np.float32)
             light[own.point] = self._shade(points, own, progress)
-            # A few gather rays a point are enough, for the points of a block share them.
+            # A few gather rays a point are enough where there are many points, for those of a block share them.
             block = self.interleave**2
-            lost = self._lost(points, -(-self.compensation // block)) / np.float32(block)
+            few = max(-(-self.compensation // block), min(self.compensation, -(-LEAST_GATHERED // n)))
+            lost = self._lost(points, few) / np.float32(block)
         with self._stage("blur"):
             out, missing = blur(points, pixels, light + lost, self.extent, self.threads)
         with self._stage("missing shares"):
@@ -338,7 +343,7 @@ def _seen_from(scene, vpls, assignment, origin, axis, lift, seen):
         ox, oy, oz, dx, dy, dz = shadow_segment(
             origin[k, 0], origin[k, 1], origin[k, 2], axis[k, 0], axis[k, 1], axis[k, 2], _0,
             vpls.position[i, 0], vpls.position[i, 1], vpls.position[i, 2],
-            vpls.normal[i, 0], vpls.normal[i, 1], vpls.normal[i, 2], vpls.error[i] + _HALF * lift,
+            vpls.surface_normal[i, 0], vpls.surface_normal[i, 1], vpls.surface_normal[i, 2], vpls.error[i] + _HALF * lift,
         )  # fmt: skip
         seen[k] += 0 if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE) else 1
 
@@ -350,7 +355,7 @@ def map_origins(scene: Transport, vpls: Vpls, lights: AreaLights, lift: np.float
     A member's own place on a surface is never hidden from everything.  lift: off the surface (m).
     """
     middle = lights.centre + lift * lights.frame[:, 2]
-    member = vpls.position[lights.medoid] + lift * vpls.normal[lights.medoid]
+    member = vpls.position[lights.medoid] + lift * vpls.surface_normal[lights.medoid]
     seen = np.zeros(len(lights), np.int64)
     _seen_from(scene, vpls, lights.assignment, middle, lights.frame[:, 2], lift, seen)
     free = (2 * seen > np.bincount(lights.assignment)) & (lights.depth < FLAT * lights.half.max(axis=1) + lift)
@@ -363,7 +368,7 @@ def wanted_area_lights(vpls: Vpls, extent: float) -> int:
     The number of places, farther than NEIGHBOURS apart as k-means measures it, that the VPLs cover.
     """
     weight = np.float32(WEIGHT_POSITION / extent)
-    place, normal = vpls.position[:MOST_PLACES] * weight, vpls.normal[:MOST_PLACES]
+    place, normal = vpls.position[:MOST_PLACES] * weight, vpls.surface_normal[:MOST_PLACES]
     free = np.ones(len(place), bool)
     places = 0
     for i in range(len(place)):

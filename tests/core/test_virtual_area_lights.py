@@ -52,6 +52,7 @@ def vpls():
         field[...] = 0
     lights.position[:] = np.column_stack([rng.uniform(-1.9, 1.9, (512, 2)), np.full(512, 2.0)])
     lights.normal[:, 2], lights.flux[:], lights.error[:], lights.bounce[:] = -1, 1, 1e-6, 1
+    lights.surface_normal[:] = lights.normal
     return lights
 
 
@@ -113,6 +114,7 @@ def test_a_centre_inside_geometry_is_left(build):
     side = np.where(np.arange(64) % 2, 1, -1)
     lights.position[:] = np.column_stack([side * rng.uniform(0.6, 1, 64), rng.uniform(-1, 1, 64), np.zeros(64)])
     lights.normal[:, 2], lights.flux[:], lights.bounce[:], lights.error[:] = 1, 1, 1, 1e-6
+    lights.surface_normal[:] = lights.normal
     with RayScene(geometry.vertices, geometry.triangles) as rays:
         tables = transport(geometry, scene.materials.tables, rays.tables, build_emitters(scene))
         solver = VirtualAreaLights(vals=1, compensation=0)
