@@ -15,27 +15,29 @@ from .inspection import foresee
 from .jit import CompileTimer
 from .lamps import build_emitters, direct_irradiance, direct_light, world_tables
 from .layers import Layers
+from .methods.area_shadows import area_lamps, direct_by_soft_maps
 from .methods.fuzzy_clustering import FuzzyClustering
 from .methods.glossy import Reflections, has_lobes, reflect
 from .methods.importance_sampling import ImportanceSampling
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
+from .methods.virtual_area_lights import VirtualAreaLights
 from .particles import Vpls
 from .passes import WORTH, Passes
 from .picture import Picture, splat
 from .rays import RayScene
-from .scene import POINT, SPOT, TRANSPARENT, Scene, Skipped
+from .scene import AREA, POINT, SPOT, TRANSPARENT, Scene, Skipped
 from .settings import RenderSettings
 from .threads import Cancelled, thread_count
 from .transport import Transport, transport
 from .view.points import ShadingPoints
 from .view.primary import view
-from .vpl_pool import vpl_pool
+from .vpl_pool import vpl_pool, vpl_sequence
 
 # progress(stage, fraction) -> True to go on, False to cancel.
 StageProgress = Callable[[str, float], bool]
 
-AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "importance-sampling")
+AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "virtual-area-lights", "importance-sampling")
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
 
 
@@ -58,7 +60,7 @@ class Run:
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     vpls: int = 0
-    clusters: FuzzyClustering | None = None  # whose clusters the debug layers show
+    clusters: FuzzyClustering | VirtualAreaLights | None = None  # whose clusters the debug layers show
     debug: dict[str, np.ndarray] = field(default_factory=dict)
 
     def skip(self, stage: str, why: str) -> None:
@@ -89,22 +91,27 @@ def render(
         core.threads.Cancelled: `progress` returned False.
     """
     settings = settings.with_defaults()
+    begin = time.perf_counter()
     denoiser = Denoiser() if settings.denoise else None
     try:
-        return _render(scene, settings, denoiser, progress, extraction_seconds)
+        return _render(scene, settings, denoiser, progress, extraction_seconds, begin)
     finally:  # a cancelled render must not leave the library's threads behind
         if denoiser:
             denoiser.close()
 
 
 def _render(
-    scene: Scene, settings: RenderSettings, denoiser: Denoiser | None, progress: StageProgress | None, extraction_seconds: float
+    scene: Scene,
+    settings: RenderSettings,
+    denoiser: Denoiser | None,
+    progress: StageProgress | None,
+    extraction_seconds: float,
+    begin: float,
 ) -> RenderResult:
-    """The same with nothing left open in `settings`, and the denoiser that they want."""
+    """The same with nothing left open in `settings`, and the denoiser that they want; begin: when the clock started."""
     method = method_of(settings)
     run = Run(progress)
     run.seconds["extraction"] = extraction_seconds
-    begin = time.perf_counter()
     threads = thread_count(settings.threads)
 
     def elapsed() -> float:
@@ -179,7 +186,7 @@ def light_points(
         with run.stage("direct") as tick:
             first, _ = _direct(run, scene, tables, points, settings, threads, tick)
     sampler = _sampler(run, tables, points, settings, threads)
-    indirect, vpls = _indirect(run, tables, points, settings, threads, sampler)
+    indirect, vpls = _indirect(run, tables, points, None, settings, threads, sampler)
     run.vpls += len(vpls.bounce)
     return first, indirect
 
@@ -203,7 +210,7 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
         mirrored = _glossy(run, tables, points, settings, threads, sampler)
     indirect = nothing
     if wants("DiffuseIndirect", "Indirect", "Irradiance", "Combined") or (behind_glass and wants("GlossyIndirect")):
-        indirect, vpls = _indirect(run, tables, points, settings, threads, sampler)
+        indirect, vpls = _indirect(run, tables, points, seen.shape[1], settings, threads, sampler)
         run.vpls += len(vpls.bounce)
         if settings.debug_layers and not run.debug:
             run.debug = single_lights(tables, vpls, points, seen.shape, threads)
@@ -229,10 +236,15 @@ def _direct(
     if lobes:
         by_rays, highlights, rays = direct_light(tables, points, samples, seed, threads, tick, reflections=settings.reflections)
         run.rays["shadow"] += rays
+    mapped = None
     if settings.visibility == "shadow-maps" and len(point_lamps(tables.emitters)):
-        by_maps, rays = direct_by_maps(tables, points, seed=seed, threads=threads)
+        mapped, kinds = direct_by_maps, (POINT, SPOT)
+    elif settings.soft_shadows and len(area_lamps(tables.emitters)):
+        mapped, kinds = direct_by_soft_maps, (AREA,)
+    if mapped is not None:
+        by_maps, rays = mapped(tables, points, seed=seed, threads=threads)
         run.rays["shadow"] += rays
-        others = scene.lamps.take(~np.isin(scene.lamps.kind, (POINT, SPOT)))
+        others = scene.lamps.take(~np.isin(scene.lamps.kind, kinds))
         tables, lobes = tables._replace(emitters=build_emitters(replace(scene, lamps=others))), False
     if not lobes:
         by_rays, rays = direct_irradiance(tables, points, samples, seed, threads, tick)
@@ -272,9 +284,16 @@ def _glossy(
 
 
 def _indirect(
-    run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
+    run: Run,
+    tables: Transport,
+    points: ShadingPoints,
+    width: int | None,
+    settings: RenderSettings,
+    threads: int,
+    sampler: ImportanceSampling | None,
 ) -> tuple[np.ndarray, Vpls]:
-    """Indirect irradiance at the points (N, 3), and the VPLs that it came from."""
+    """Indirect irradiance at the points (N, 3), and the VPLs that it came from; width: of the picture in pixels,
+    None where the points are not of one."""
     nothing = np.zeros((len(points.pixel), 3), np.float32)
     if settings.bounces < 1 or settings.vpls < 1:
         run.skip("vpls", "no bounces or no VPLs asked for")
@@ -285,6 +304,8 @@ def _indirect(
     with run.stage("vpls") as tick:
         if sampler:
             vpls, counts = sampler.prepare(tables, points, settings.vpls, tick)
+        elif settings.method == "virtual-area-lights":
+            vpls, counts = vpl_sequence(tables, points, settings.vpls, settings.bounces, settings.seed, threads)
         else:
             vpls, counts = vpl_pool(tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick)
         run.rays["light"] += counts["light"]
@@ -308,6 +329,16 @@ def _indirect(
                 weighting=settings.weighting,
                 shade_with=settings.shade_with,
                 compensation=settings.gather if settings.compensation else 0,
+                bounces=settings.bounces,
+                seed=settings.seed,
+                threads=threads,
+            )
+        elif settings.method == "virtual-area-lights":
+            solver = run.clusters = VirtualAreaLights(
+                vals=settings.vals,
+                interleave=settings.interleave,
+                width=width,
+                compensation=settings.gather,
                 bounces=settings.bounces,
                 seed=settings.seed,
                 threads=threads,

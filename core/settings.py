@@ -63,6 +63,11 @@ METHOD_CHOICES = (
     ),
     Choice("fuzzy-clustering", "Fuzzy Clustering", "A smooth preview: visibility is computed between clusters only, and blended"),
     Choice(
+        "virtual-area-lights",
+        "Virtual Area Lights",
+        "Soft shadow maps of a few clusters of lights: for scenes that change, nothing is precomputed",
+    ),
+    Choice(
         "instant-radiosity",
         "Instant Radiosity",
         "Shadow rays from every point to every virtual point light: slow, the measure of the others",
@@ -152,6 +157,15 @@ class RenderSettings:
             Choice("vpls", "VPLs", "Every VPL, with the visibility of its cluster"),
         ),
         method="fuzzy-clustering",
+    )
+
+    # virtual area lights
+    vals: int | None = option(None, "Area Lights", "Virtual area lights", least=1, usual=300, method="virtual-area-lights")
+    interleave: int = option(
+        8, "Interleaving", "Pixels of a window that share the lights, 1 for no sharing", least=1, usual=16, method="virtual-area-lights"
+    )
+    soft_shadows: bool = option(
+        False, "Soft Shadow Maps", "Direct light of area lamps by convolution soft shadow maps", method="virtual-area-lights"
     )
 
     # importance sampling; gather: of the compensation, too

@@ -28,6 +28,8 @@ ENOUGH = 1.5  # lights that matter, for each VPL wanted
 SUBSET = 96  # shading points that stand for the view
 RAYS_EACH = 8  # shadow rays that tell how much of the view a light reaches
 DEFENSIVE = 0.2  # share of the density by flux alone: no light that could matter is impossible
+SEQUENCE_TRIES = 4
+SEQUENCE_OCTAVES = 6  # at most 2^6 particles a light of `vpl_sequence`
 UNSEEN = 0.02  # visible share of a light that none of its rays saw
 
 
@@ -186,3 +188,25 @@ def vpl_pool(
         pool.flux[:] *= np.float32(1.0 / (batch + 1))
         pool = resample(pool, np.concatenate(importance), count, seed)
     return pool, counts
+
+
+def vpl_sequence(scene: Transport, points: ShadingPoints, count: int, bounces: int, seed: int, threads: int = 0) -> tuple[Vpls, dict]:
+    """About `count` VPLs of one fixed quasi-random sequence, so that those of a scene that has changed little have moved little.
+
+    Nothing depends on the view but how many particles are flown, a power of two times `count`, such that from 0.7 to 1.4 times
+    `count` lights lie before some visible point.  Returns what `vpl_pool` does.
+    """
+    counts = {"light": 0, "shadow": 0, "traced": 0, "useless": 0}
+    particles, kept = count, None
+    for _ in range(SEQUENCE_TRIES):
+        vpls, rays = trace_particles(scene, particles, bounces, seed, threads)
+        counts["light"] += rays
+        counts["traced"] = len(vpls.bounce)
+        kept = drop_useless(vpls, points)
+        counts["useless"] = len(vpls.bounce) - len(kept.bounce)
+        octaves = min(round(np.log2(count / max(len(kept.bounce), 1))), SEQUENCE_OCTAVES)
+        wanted = max(int(particles * 2.0**octaves), 1)
+        if wanted == particles or len(vpls.bounce) == 0 or wanted > count << SEQUENCE_OCTAVES:
+            break
+        particles = wanted
+    return kept, counts

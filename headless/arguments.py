@@ -19,7 +19,7 @@ from .outputs import OutputError, check_file, check_folder
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 LAST_FRAME = 1_048_574  # Blender's MAXFRAME
-SUITES = ("kernels", "clustering", "fuzzy", "previews", "curves", "lightmaps")  # of `bench`
+SUITES = ("kernels", "clustering", "fuzzy", "vals", "previews", "curves", "lightmaps")  # of `bench`
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
 
 
@@ -140,6 +140,24 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
                 "choices": ("clusters", "vpls"),
                 "help": "one light a cluster, or every VPL with its cluster's visibility (default: clusters)",
             },
+        ),
+    ),
+    "virtual-area-lights": (
+        OwnOption("--vals", "vals", {"type": count, "metavar": "M", "help": "area lights (default: as many as the lighting needs)"}),
+        OwnOption(
+            "--interleave",
+            "interleave",
+            {
+                "type": int,
+                "choices": range(1, 9),
+                "metavar": "I",
+                "help": "I x I pixels share the VPLs, 1 to 8; 1 for all of them in every pixel (default: 8)",
+            },
+        ),
+        OwnOption(
+            "--soft-shadows",
+            "soft_shadows",
+            {"action": "store_const", "const": True, "help": "direct shadows of area lamps by soft shadow maps, too: no noise, less exact"},
         ),
     ),
     "importance-sampling": (

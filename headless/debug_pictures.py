@@ -8,8 +8,9 @@ import numpy as np
 
 from ..core.layers import CONTRACT, Layers, auto_exposure, write_png, write_preview
 
-IDS = ("PointClusters", "PointRepresentatives")  # numbers from 1; 0 is none
+IDS = ("PointClusters", "PointRepresentatives", "AreaLights")  # numbers from 1; 0 is none
 SHARES = ("VisibleShare", "VisibleShareBlended")  # 0 to 1
+SHADOWS = "AreaLightShadow"  # the beginning of the names of more shares
 WEIGHTS = "FuzzyWeights"  # the beginning of the names of layers of weights, 0 to 1
 # From dark blue through green to yellow, of rising luminance.
 _SHARE_COLOURS = np.array([[0.10, 0.05, 0.30], [0.16, 0.35, 0.55], [0.20, 0.62, 0.50], [0.60, 0.80, 0.25], [1.0, 0.95, 0.45]])
@@ -24,7 +25,7 @@ def write_debug_pictures(output: Path, layers: Layers) -> list[Path]:
         path = output.with_name(f"{output.stem}-{name}.png")
         if name in IDS:
             write_png(path, id_colours(array[..., 0]))
-        elif name in SHARES:
+        elif name in SHARES or name.startswith(SHADOWS):
             write_png(path, share_colours(array[..., 0]))
         elif name.startswith(WEIGHTS):
             write_png(path, array)

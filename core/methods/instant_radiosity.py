@@ -35,7 +35,7 @@ _INV_PI = np.float32(1.0 / np.pi)
 
 
 @kernel
-def _geometry_terms(position, ns, ng, begin, end, x, y, z, nx, ny, nz, g):
+def geometry_terms(position, ns, ng, begin, end, x, y, z, nx, ny, nz, g):
     """G of one VPL at the points begin..end-1 into g; 0 where either looks away."""
     for i in range(begin, end):
         dx, dy, dz = x - position[i, 0], y - position[i, 1], z - position[i, 2]
@@ -67,7 +67,7 @@ def _shade(scene, vpls, points, begin, end, g_max, visibility, cutouts, out):
                     part[i, c] = _0
         x, y, z = vpls.position[j, 0], vpls.position[j, 1], vpls.position[j, 2]
         nx, ny, nz = vpls.normal[j, 0], vpls.normal[j, 1], vpls.normal[j, 2]
-        _geometry_terms(points.position, points.ns, points.ng, begin, end, x, y, z, nx, ny, nz, g)
+        geometry_terms(points.position, points.ns, points.ng, begin, end, x, y, z, nx, ny, nz, g)
         r, gr, b = vpls.flux[j, 0] * _INV_PI, vpls.flux[j, 1] * _INV_PI, vpls.flux[j, 2] * _INV_PI
         i = 0
         while i < n:

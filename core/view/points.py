@@ -56,3 +56,10 @@ class ShadingPoints(NamedTuple):
         if not parts:
             return ShadingPoints.allocate(0)
         return ShadingPoints(*(np.concatenate(arrays) for arrays in zip(*parts)))
+
+
+def pixel_maxima(values: np.ndarray, pixel: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """(H, W, C) of values (N, C): of a pixel's points the largest counts, so that single marked points are not lost."""
+    out = np.zeros((shape[0] * shape[1], values.shape[1]), np.float32)
+    np.maximum.at(out, pixel, values)
+    return out.reshape(*shape, -1)

@@ -19,12 +19,14 @@ from ..kernel_bench import ray_rows
 from ..lightmap_bench import lightmap_rows
 from ..preview_bench import preview_rows
 from ..results import write_json
+from ..vals_bench import vals_rows
 
 # Keys as in `arguments.SUITES`.
 ROWS = {
     "kernels": ray_rows,
     "clustering": clustering_rows,
     "fuzzy": fuzzy_rows,
+    "vals": vals_rows,
     "previews": preview_rows,
     "curves": curves_rows,
     "lightmaps": lightmap_rows,

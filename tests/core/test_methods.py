@@ -36,9 +36,11 @@ def test_glossy_sphere_interior(build, method, bounces, roughness):
         build.glossy_materials((d, 1.0), albedo=g, roughness=roughness),
         camera=build.camera(width=24, height=24),
     )
+    # Those of virtual area lights are the first of their sequence, not the best of eight times as many: more noise from as many.
+    vpls = 4096 if method == "virtual-area-lights" else 1024
     pictures = [
         render(
-            scene, RenderSettings(method=method, vpls=1024, bounces=bounces, pixel_samples=1, direct_samples=16, reflections=8, seed=seed)
+            scene, RenderSettings(method=method, vpls=vpls, bounces=bounces, pixel_samples=1, direct_samples=16, reflections=8, seed=seed)
         ).layers
         for seed in range(4)
     ]
