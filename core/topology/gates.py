@@ -1,0 +1,136 @@
+"""Visibility gates: where light passes from one visibility cluster into the next (paper, Section IV.C).
+
+A disk on every edge of the segmented skeleton between two clusters, as in the paper; or a polygon fitted to each opening, which is
+the set of voxel faces where two clusters meet.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from .segmentation import Segmented
+from .skeleton import Skeleton
+from .voxels import Grid
+
+SIDES = 12  # of a polygon: half-planes in fixed directions about its centre
+DIRECTIONS = np.stack([np.cos(2 * np.pi * np.arange(SIDES) / SIDES), np.sin(2 * np.pi * np.arange(SIDES) / SIDES)], 1).astype(np.float32)
+
+
+class Gates(NamedTuple):
+    """G gates, each in a plane.
+
+    clusters: (G, 2) int32, on the side the normal comes from and on the side it points to.  centre: (G, 3) float32 (m).
+    frame: (G, 3, 3) float32, unit vectors u, v, normal.  radius: (G,) float32 (m), of the disk, or of the circle round the polygon.
+    extent: (G, SIDES) float32 (m), how far a polygon reaches along DIRECTIONS in (u, v); all radii of a disk.
+    """
+
+    clusters: np.ndarray
+    centre: np.ndarray
+    frame: np.ndarray
+    radius: np.ndarray
+    extent: np.ndarray
+
+    def outlines(self) -> np.ndarray:
+        """(G, SIDES, 3) corners of the polygons (m): where neighbouring half-planes meet."""
+        following = np.roll(self.extent, -1, axis=1)
+        c, s = np.cos(2 * np.pi / SIDES), np.sin(2 * np.pi / SIDES)
+        along = (following - c * self.extent) / s
+        u = self.extent[..., None] * DIRECTIONS + along[..., None] * np.stack([-DIRECTIONS[:, 1], DIRECTIONS[:, 0]], 1)
+        return self.centre[:, None] + u[..., :1] * self.frame[:, None, 0] + u[..., 1:] * self.frame[:, None, 1]
+
+
+def frames_about(normal: np.ndarray) -> np.ndarray:
+    """(G, 3, 3) float32 right-handed unit vectors u, v, n about unit normals (G, 3)."""
+    least = np.abs(normal).argmin(axis=1)
+    u = np.cross(normal, np.eye(3)[least])
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    return np.stack([u, np.cross(normal, u), normal], axis=1).astype(np.float32)
+
+
+def disk_gates(grid: Grid, skeleton: Skeleton, segmented: Segmented, cluster: np.ndarray, scale: float = 1.0) -> Gates:
+    """A disk in the middle of each edge between two clusters, across it, of the smaller ball's radius times `scale`."""
+    edges = segmented.edges[cluster[segmented.edges[:, 0]] != cluster[segmented.edges[:, 1]]]
+    a, b = (grid.position_of(skeleton.place[segmented.node[edges[:, k]]]) for k in (0, 1))
+    along = b - a
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    radius = (scale * grid.size * skeleton.radius[segmented.node[edges]].min(axis=1)).astype(np.float32)
+    extent = np.repeat(radius[:, None], SIDES, axis=1)
+    return Gates(cluster[edges].astype(np.int32), ((a + b) / 2).astype(np.float32), frames_about(along), radius, extent)
+
+
+def _openings(cluster: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Voxel faces between clusters (Z, Y, X) int32: their pairs (F, 2), lower cluster first; places (F, 3) of their middles in
+    half voxels; and axes with sign (F,), +-1 to +-3, from the lower cluster to the other."""
+    pairs, places, signs = [], [], []
+    for axis in range(3):
+        low = np.moveaxis(cluster, 2 - axis, 0)[:-1]
+        high = np.moveaxis(cluster, 2 - axis, 0)[1:]
+        at = np.argwhere((low != high) & (low >= 0) & (high >= 0))
+        a, b = low[tuple(at.T)], high[tuple(at.T)]
+        order = [k for k in range(3) if k != 2 - axis]
+        zyx = np.empty_like(at)
+        zyx[:, 2 - axis] = at[:, 0] + 1
+        zyx[:, order[0]], zyx[:, order[1]] = at[:, 1], at[:, 2]
+        half = 2 * zyx[:, ::-1] + 1
+        half[:, axis] -= 1
+        pairs.append(np.stack([np.minimum(a, b), np.maximum(a, b)], 1))
+        places.append(half)
+        signs.append(np.where(a < b, axis + 1, -axis - 1))
+    return np.concatenate(pairs), np.concatenate(places), np.concatenate(signs)
+
+
+def _connected(pairs: np.ndarray, places: np.ndarray, signs: np.ndarray, shape) -> np.ndarray:
+    """(F,) the opening of each face: faces of one pair that share an edge are one."""
+    count = len(pairs)
+    span = 2 * np.array(shape) + 2
+    axis = np.abs(signs) - 1
+    keys, owners = [], []
+    for step in (1, 2):
+        for side in (-1, 1):
+            middle = places.copy()
+            middle[np.arange(count), (axis + step) % 3] += side
+            keys.append((middle[:, 2] * span[1] + middle[:, 1]) * span[0] + middle[:, 0])
+            owners.append(np.arange(count))
+    key, owner = np.concatenate(keys), np.concatenate(owners)
+    order = np.lexsort((pairs[owner, 1], pairs[owner, 0], key))
+    key, owner = key[order], owner[order]
+    same = (key[1:] == key[:-1]) & (pairs[owner[1:]] == pairs[owner[:-1]]).all(axis=1)
+    links = sparse.coo_array((np.ones(same.sum(), np.int8), (owner[:-1][same], owner[1:][same])), (count, count))
+    return csgraph.connected_components(links, directed=False)[1]
+
+
+def polygon_gates(grid: Grid, cluster: np.ndarray, scale: float = 1.0) -> Gates:
+    """A convex polygon round each opening between two clusters, in the plane through its middle across its mean normal.
+
+    cluster: (Z, Y, X) int32 of each voxel, negative in solid ones.  scale: of the polygons.
+    """
+    pairs, places, signs = _openings(cluster)
+    if not len(pairs):
+        e = np.empty
+        return Gates(e((0, 2), np.int32), *(e((0, *s), np.float32) for s in ((3,), (3, 3), (), (SIDES,))))
+    opening = _connected(pairs, places, signs, grid.shape)
+    order = np.argsort(opening, kind="stable")
+    pairs, places, signs, opening = pairs[order], places[order], signs[order], opening[order]
+    start = np.flatnonzero(np.diff(opening, prepend=-1))
+    size = np.diff(start, append=len(opening))
+    metres = grid.position_of(places / 2)
+    centre = np.add.reduceat(metres, start) / size[:, None]
+    axes = np.sign(signs)[:, None] * np.eye(3)[np.abs(signs) - 1]
+    normal = np.add.reduceat(axes, start)
+    # A closed surface has no mean normal: any plane through its middle is as good as another.
+    normal[~normal.any(axis=1)] = (0, 0, 1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    frame = frames_about(normal)
+    which = np.repeat(np.arange(len(start)), size)
+    away = metres - centre[which]
+    u = np.einsum("fc,fdc->fd", away, frame[which, :2])
+    reach = u @ DIRECTIONS.T.astype(np.float64) + 0.5 * grid.size
+    extent = scale * np.maximum.reduceat(reach, start)
+    extent = np.maximum(extent, 0.5 * grid.size).astype(np.float32)
+    gates = Gates(pairs[start].astype(np.int32), centre.astype(np.float32), frame, np.zeros(len(start), np.float32), extent)
+    radius = np.linalg.norm(gates.outlines() - gates.centre[:, None], axis=2).max(axis=1)
+    return gates._replace(radius=radius.astype(np.float32))
