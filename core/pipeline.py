@@ -20,6 +20,7 @@ from .methods.glossy import Reflections, has_lobes, reflect
 from .methods.importance_sampling import ImportanceSampling
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
+from .methods.visibility_gates import VisibilityGates
 from .particles import Vpls
 from .passes import WORTH, Passes
 from .picture import Picture, splat
@@ -27,6 +28,7 @@ from .rays import RayScene
 from .scene import POINT, SPOT, TRANSPARENT, Scene, Skipped
 from .settings import RenderSettings
 from .threads import Cancelled, thread_count
+from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, rooms_seen, without_emitters
 from .transport import Transport, transport
 from .view.points import ShadingPoints
 from .view.primary import view
@@ -35,7 +37,7 @@ from .vpl_pool import vpl_pool
 # progress(stage, fraction) -> True to go on, False to cancel.
 StageProgress = Callable[[str, float], bool]
 
-AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "importance-sampling")
+AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "visibility-gates", "importance-sampling")
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
 
 
@@ -58,7 +60,8 @@ class _Run:
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     vpls: int = 0
-    clusters: FuzzyClustering | None = None  # whose clusters the debug layers show
+    clusters: FuzzyClustering | VisibilityGates | None = None  # whose clusters the debug layers show
+    topology: Topology | None = None
     debug: dict[str, np.ndarray] = field(default_factory=dict)
 
     def skip(self, stage: str, why: str) -> None:
@@ -80,9 +83,16 @@ class _Run:
 
 
 def render(
-    scene: Scene, settings: RenderSettings, progress: StageProgress | None = None, *, extraction_seconds: float = 0.0
+    scene: Scene,
+    settings: RenderSettings,
+    progress: StageProgress | None = None,
+    *,
+    extraction_seconds: float = 0.0,
+    topologies: Topologies = IN_MEMORY,
 ) -> RenderResult:
     """Compute the layers that `settings` ask for, in as many passes as its time budget or target error need.
+
+    topologies: where the method that needs one finds the scene's.
 
     Raises:
         SceneError: the scene cannot be rendered with these settings.
@@ -112,6 +122,9 @@ def render(
             run.skipped = [*scene.skipped, *skipped]
             run.warnings += [*scene.warnings, *warnings]
             tables = transport(geometry, scene.materials.tables, ray_scene.tables, emitters)
+        if method == "visibility-gates":
+            with run.stage("topology"):
+                run.topology = topologies.of(scene, settings.voxels, threads)
         camera = scene.camera
         pixels = (camera.border[2] - camera.border[0]) * (camera.border[3] - camera.border[1])
         passes = Passes(settings.time_budget, settings.target_error, pixels, threads)
@@ -252,7 +265,8 @@ def _indirect(
         if sampler:
             vpls, counts = sampler.prepare(tables, points, settings.vpls, tick)
         else:
-            vpls, counts = vpl_pool(tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick)
+            reached = tables if run.topology is None else _within_reach(run, tables, points)
+            vpls, counts = vpl_pool(reached, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick)
         run.rays["light"] += counts["light"]
         run.rays["shadow"] += counts["shadow"]
         if counts["useless"]:
@@ -278,6 +292,15 @@ def _indirect(
                 seed=settings.seed,
                 threads=threads,
             )
+        elif run.topology is not None:
+            solver = run.clusters = VisibilityGates(
+                run.topology,
+                gates=settings.gates,
+                compensation=settings.gather if settings.compensation else 0,
+                bounces=settings.bounces,
+                seed=settings.seed,
+                threads=threads,
+            )
         elif settings.visibility == "shadow-maps":
             solver = ShadowMappedRadiosity(seed=settings.seed, threads=threads)
         else:
@@ -290,6 +313,16 @@ def _indirect(
         run.rays["shadow"] += solver.rays
         run.pairs += solver.pairs
     return irradiance, vpls
+
+
+def _within_reach(run: _Run, tables: Transport, points: ShadingPoints) -> Transport:
+    """The tables without the emission of what lies in rooms that no path joins to those that are seen."""
+    seen = rooms_seen(run.topology, points)
+    kept = reachable_emitters(run.topology, seen, tables.emitters)
+    if kept.all():
+        return tables
+    run.skip("lamps", f"{np.count_nonzero(~kept)} lamps and shining triangles are in rooms with no way to what is seen")
+    return tables._replace(emitters=without_emitters(tables.emitters, kept))
 
 
 def single_lights(tables: Transport, vpls: Vpls, points: ShadingPoints, shape: tuple[int, int], threads: int) -> dict[str, np.ndarray]:

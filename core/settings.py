@@ -51,6 +51,10 @@ class RenderSettings:
     weighting: str = "smooth"  # smooth | distance | plain
     shade_with: str = "clusters"  # clusters | vpls
 
+    # visibility gates; voxels: along the scene's longest side
+    voxels: int = 128
+    gates: str = "disks"  # disks | polygons | off | guided
+
     # importance sampling; gather: of the compensation, too
     samples: int = 8
     gather: int = 8

@@ -171,6 +171,17 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
             },
         ),
     ),
+    "visibility-gates": (
+        OwnOption("--voxels", "voxels", {"type": count, "metavar": "R", "help": "voxels along the scene's longest side (default: 128)"}),
+        OwnOption(
+            "--gates",
+            "gates",
+            {
+                "choices": ("disks", "polygons", "off", "guided"),
+                "help": "between visibility clusters; guided: shadow rays where the topology is not certain (default: disks)",
+            },
+        ),
+    ),
     "importance-sampling": (
         OwnOption("--samples", "samples", {"type": count, "metavar": "N", "help": "shadow rays a shading point (default: 8)"}),
         OwnOption("--gather", "gather", {"type": count, "metavar": "N", "help": "gather rays a shading point (default: 8)"}),

@@ -3,7 +3,26 @@
 from .build import RESOLUTION, Topology, blocking_triangles, build_topology
 from .gates import Gates
 from .nearest import SOLID
+from .rooms import reachable_emitters, reachable_vpls, rooms_seen, without_emitters
 from .skeleton import Skeleton, skeleton_of
+from .store import IN_MEMORY, Topologies
 from .voxels import Grid, voxelise
 
-__all__ = ["RESOLUTION", "SOLID", "Gates", "Grid", "Skeleton", "Topology", "blocking_triangles", "build_topology", "skeleton_of", "voxelise"]
+__all__ = [
+    "IN_MEMORY",
+    "RESOLUTION",
+    "SOLID",
+    "Gates",
+    "Grid",
+    "Skeleton",
+    "Topologies",
+    "Topology",
+    "blocking_triangles",
+    "build_topology",
+    "reachable_emitters",
+    "reachable_vpls",
+    "rooms_seen",
+    "skeleton_of",
+    "voxelise",
+    "without_emitters",
+]

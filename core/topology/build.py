@@ -79,7 +79,13 @@ def blocking_triangles(scene: Scene) -> np.ndarray:
 
 
 def build_topology(
-    vertices: np.ndarray, triangles: np.ndarray, resolution: int = RESOLUTION, *, closed: bool = True, alpha: float = ALPHA, threads: int = 0
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    resolution: int = RESOLUTION,
+    *,
+    closed: bool = True,
+    alpha: float = ALPHA,
+    threads: int = 0,
 ) -> Topology:
     """The topology of what triangles (T, 3) of vertices (V, 3) leave empty in their bounding box.
 

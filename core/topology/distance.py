@@ -34,7 +34,9 @@ def opening_map(distance: np.ndarray, threads: int = 0) -> np.ndarray:
     values = distance.copy()
     nz, ny, nx = values.shape
     for n, stride in ((nx, 1), (ny, nx), (nz, ny * nx)):
-        run_chunks(lambda begin, end, n=n, stride=stride: _spread_lines(values.ravel(), n, stride, begin, end), values.size // n, _LINES, threads)
+        run_chunks(
+            lambda begin, end, n=n, stride=stride: _spread_lines(values.ravel(), n, stride, begin, end), values.size // n, _LINES, threads
+        )
     return values
 
 

@@ -76,7 +76,7 @@ def look_up(label, low, scale, points, normals, out):
     """
     nz, ny, nx = label.shape
     for p in range(len(points)):
-        x, y, z = ((points[p, a] - low[a]) * scale for a in (0, 1, 2))
+        x, y, z = (points[p, 0] - low[0]) * scale, (points[p, 1] - low[1]) * scale, (points[p, 2] - low[2]) * scale
         out[p] = SOLID
         for step in range(1, _STEPS + 1):
             t = 0.5 * step

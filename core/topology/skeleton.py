@@ -56,7 +56,7 @@ def skeleton_of(empty: np.ndarray, *, closed: bool = True, keep: Keep = CURVES, 
 
 def graph_of(curves: Complex, distance: np.ndarray, iterations: int = 0, opened: int = 0) -> Skeleton:
     """The points and edges of a complex as a graph; `distance`: (Z, Y, X) uint8 of its voxels."""
-    nz, ny, nx = curves.shape
+    _, ny, nx = curves.shape
     at = np.argwhere(curves.of_type(POINT))
     strides = np.array([(ny + 1) * (nx + 1), nx + 1, 1])
     code = at @ strides
@@ -66,7 +66,7 @@ def graph_of(curves: Complex, distance: np.ndarray, iterations: int = 0, opened:
         arcs.append(np.stack([np.searchsorted(code, low), np.searchsorted(code, low + strides[2 - axis])], 1))
     arcs = np.concatenate(arcs).astype(np.int32)
     padded = np.pad(distance, 1)
-    around = [padded[tuple((at + (k, j, i)).T)] for k in (0, 1) for j in (0, 1) for i in (0, 1)]
+    around = [padded[tuple((at + np.array([k, j, i])).T)] for k in (0, 1) for j in (0, 1) for i in (0, 1)]
     radius = np.maximum.reduce(around).astype(np.float32)
     graph = sparse.coo_array((np.ones(len(arcs), np.int8), (arcs[:, 0], arcs[:, 1])), (len(at), len(at)))
     component = csgraph.connected_components(graph, directed=False)[1] if len(at) else np.zeros(0)

@@ -1,0 +1,258 @@
+"""Which VPLs may light which points: clustered shading with visibility clusters and gates (visibility gates paper, Sections V.B, V.C).
+
+Geometry clusters are runs of neighbouring shading points of one visibility cluster, blocks are runs of neighbouring VPLs of one;
+both have a bounding sphere.  What leaves a block through a gate stays within a cone, and so does what leaves a single VPL: tests go from
+groups of geometry clusters and whole blocks down to single ones, and find bits of VPLs.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..jit import inlined, kernel
+from ..particles import Vpls
+from ..rays.order import morton_order
+from ..topology import SOLID, Gates
+
+POINTS = 64  # of a geometry cluster at most
+LANES = 32  # VPLs of a block at most, bits of a mask
+GROUP = 16  # geometry clusters that are tested together first
+NO_GATE = -1  # VPL and points are in the same visibility cluster
+_ALL = np.uint32(0xFFFFFFFF)
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+
+
+class Runs(NamedTuple):
+    """R runs of neighbours of one visibility cluster.
+
+    order: (N,) int64, given items run by run.  first: (R + 1,) int64.  cluster: (R,) int32.
+    centre: (R, 3), radius: (R,) float32 (m), spheres round the runs.
+    """
+
+    order: np.ndarray
+    first: np.ndarray
+    cluster: np.ndarray
+    centre: np.ndarray
+    radius: np.ndarray
+
+
+class Lights(NamedTuple):
+    """B blocks of VPLs, each of LANES places; places left over shine black.
+
+    table: (9, B * LANES) float32: position (m), normal, flux / pi (W).  blocks: `Runs` of the VPLs.
+    """
+
+    table: np.ndarray
+    blocks: Runs
+
+
+class GateTable(NamedTuple):
+    """Gates of each visibility cluster.
+
+    first: (clusters + 1,) int32; of: (2 G,) int32, the gates of a cluster.  gates: `Gates`.  polygons: whether they are polygons.
+    """
+
+    first: np.ndarray
+    of: np.ndarray
+    gates: Gates
+    polygons: bool
+
+
+class Lists(NamedTuple):
+    """What may light each of R geometry clusters, block by block.
+
+    first: (R + 1,) int64.  block, gate: (I,) int32, NO_GATE where no gate lies between.  mask: (I,) uint32, VPLs of the block.
+    """
+
+    first: np.ndarray
+    block: np.ndarray
+    gate: np.ndarray
+    mask: np.ndarray
+
+
+def runs_of(position: np.ndarray, normal: np.ndarray, cluster: np.ndarray, most: int) -> Runs:
+    """Runs of at most `most` items each, neighbours in space and of normals in one octant."""
+    order = morton_order(position, normal)
+    order = order[np.argsort(cluster[order], kind="stable")]
+    sorted_cluster = cluster[order]
+    begins = np.flatnonzero(np.diff(sorted_cluster, prepend=sorted_cluster[:1] - 1))
+    place = np.arange(len(order)) - np.repeat(begins, np.diff(begins, append=len(order)))
+    first = np.append(np.flatnonzero(place % most == 0), len(order))
+    at = position[order]
+    low, high = np.minimum.reduceat(at, first[:-1]), np.maximum.reduceat(at, first[:-1])
+    centre = ((low + high) / 2).astype(np.float32)
+    away = np.linalg.norm(at - np.repeat(centre, np.diff(first), axis=0), axis=1)
+    radius = np.maximum.reduceat(away, first[:-1]).astype(np.float32)
+    return Runs(order, first, sorted_cluster[first[:-1]], centre, radius * np.float32(1 + 1e-6))
+
+
+def lights_of(vpls: Vpls, cluster: np.ndarray) -> Lights:
+    """The VPLs in blocks; cluster: (M,) int32, the visibility cluster of each."""
+    blocks = runs_of(vpls.position, vpls.surface_normal, cluster, LANES)
+    sizes = np.diff(blocks.first)
+    place = np.repeat(np.arange(len(sizes)) * LANES - blocks.first[:-1], sizes) + np.arange(len(cluster))
+    table = np.zeros((9, len(sizes) * LANES), np.float32)
+    # Places left over stand where the block's first light does, so that they are as near to any gate.
+    table[:3] = np.repeat(vpls.position[blocks.order[blocks.first[:-1]]], LANES, axis=0).T
+    table[:, place] = np.concatenate([vpls.position, vpls.normal, vpls.flux / np.float32(np.pi)], axis=1)[blocks.order].T
+    return Lights(table, blocks)
+
+
+def gate_table(gates: Gates, clusters: int, polygons: bool) -> GateTable:
+    """The gates listed for each of the clusters that they join."""
+    owner = gates.clusters.ravel()
+    order = np.argsort(owner, kind="stable")
+    first = np.zeros(clusters + 1, np.int32)
+    np.cumsum(np.bincount(owner, minlength=clusters), out=first[1:])
+    return GateTable(first, (order // 2).astype(np.int32), gates, polygons)
+
+
+@inlined
+def _cone(x, y, z, rho, cx, cy, cz, r):
+    """Apex, axis, cosine and sine of half the angle of the cone that holds all lines from the ball (x, rho) through the ball (c, r), beyond it.
+
+    The inner tangents of two balls meet between them, nearer to the smaller one.  A sine of 2 stands for the whole space.
+    """
+    dx, dy, dz = cx - x, cy - y, cz - z
+    d = np.sqrt(dx * dx + dy * dy + dz * dz)
+    if d <= rho + r:
+        return x, y, z, _1, _0, _0, _0, np.float32(2.0)
+    t = rho / (rho + r)
+    sine = (rho + r) / d
+    inverse = _1 / d
+    return x + t * dx, y + t * dy, z + t * dz, dx * inverse, dy * inverse, dz * inverse, np.sqrt(_1 - sine * sine), sine
+
+
+@inlined
+def _meets(ax, ay, az, ux, uy, uz, cosine, sine, sx, sy, sz, radius):
+    """Whether a ball meets a cone (Eberly, "Intersection of a Sphere and a Cone", without the cap at the apex)."""
+    if sine >= _1:
+        return True
+    dx, dy, dz = sx - ax, sy - ay, sz - az
+    along = dx * ux + dy * uy + dz * uz
+    across = np.sqrt(max(_0, dx * dx + dy * dy + dz * dz - along * along))
+    return across * cosine - along * sine <= radius and along > -radius
+
+
+@kernel
+def cones_of(lights, table):
+    """(B, most gates, 8) cones of the blocks through their clusters' gates."""
+    blocks, gates = lights.blocks, table.gates
+    most = 0
+    for c in range(len(table.first) - 1):
+        most = max(most, table.first[c + 1] - table.first[c])
+    cones = np.empty((len(blocks.cluster), most, 8), np.float32)
+    for b in range(len(blocks.cluster)):
+        c = blocks.cluster[b]
+        if c == SOLID:
+            continue
+        for k in range(table.first[c], table.first[c + 1]):
+            g = table.of[k]
+            cones[b, k - table.first[c]] = _cone(
+                blocks.centre[b, 0], blocks.centre[b, 1], blocks.centre[b, 2], blocks.radius[b],
+                gates.centre[g, 0], gates.centre[g, 1], gates.centre[g, 2], gates.radius[g],
+            )  # fmt: skip
+    return cones
+
+
+@kernel
+def _lanes_through(lights, block, gates, g, sx, sy, sz, radius):
+    """Bits of the VPLs of a block whose cone through a gate meets a ball."""
+    mask = np.uint32(0)
+    first = lights.blocks.first[block]
+    for lane in range(lights.blocks.first[block + 1] - first):
+        j = block * LANES + lane
+        x, y, z = lights.table[0, j], lights.table[1, j], lights.table[2, j]
+        nx, ny, nz = lights.table[3, j], lights.table[4, j], lights.table[5, j]
+        if nx * (sx - x) + ny * (sy - y) + nz * (sz - z) < -radius:
+            continue  # behind the light
+        ax, ay, az, ux, uy, uz, cosine, sine = _cone(
+            x, y, z, _0, gates.centre[g, 0], gates.centre[g, 1], gates.centre[g, 2], gates.radius[g]
+        )
+        if _meets(ax, ay, az, ux, uy, uz, cosine, sine, sx, sy, sz, radius):
+            mask |= np.uint32(1) << np.uint32(lane)
+    return mask
+
+
+@kernel
+def _group_sphere(runs, begin, end):
+    x = y = z = _0
+    for r in range(begin, end):
+        x, y, z = x + runs.centre[r, 0], y + runs.centre[r, 1], z + runs.centre[r, 2]
+    share = _1 / np.float32(end - begin)
+    x, y, z = x * share, y * share, z * share
+    radius = _0
+    for r in range(begin, end):
+        dx, dy, dz = runs.centre[r, 0] - x, runs.centre[r, 1] - y, runs.centre[r, 2] - z
+        radius = max(radius, np.sqrt(dx * dx + dy * dy + dz * dz) + runs.radius[r])
+    return x, y, z, radius
+
+
+@kernel
+def _candidates(lights, table, cones, cluster, sx, sy, sz, radius, block, gate):
+    """Pairs of a block and a gate that may light a ball of points of one cluster; their number."""
+    n = 0
+    for b in range(len(lights.blocks.cluster)):
+        c = lights.blocks.cluster[b]
+        if c == cluster or c == SOLID or cluster == SOLID:
+            block[n], gate[n] = b, NO_GATE
+            n += 1
+            continue
+        for k in range(table.first[c], table.first[c + 1]):
+            cone = cones[b, k - table.first[c]]
+            if _meets(cone[0], cone[1], cone[2], cone[3], cone[4], cone[5], cone[6], cone[7], sx, sy, sz, radius):
+                block[n], gate[n] = b, table.of[k]
+                n += 1
+    return n
+
+
+@kernel
+def assign(runs, begin, end, lights, table, cones):
+    """The lists of the geometry clusters begin..end-1: (first, block, gate, mask), `first` counted from 0."""
+    blocks = len(lights.blocks.cluster)
+    room = blocks * max(1, cones.shape[1])
+    near_block, near_gate = np.empty(room, np.int32), np.empty(room, np.int32)
+    first = np.zeros(end - begin + 1, np.int64)
+    block, gate, mask = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty(1024, np.uint32)
+    n = 0
+    group = begin
+    while group < end:
+        cluster = runs.cluster[group]
+        last = group + 1
+        while last < min(end, group + GROUP) and runs.cluster[last] == cluster:
+            last += 1
+        sx, sy, sz, radius = _group_sphere(runs, group, last)
+        near = _candidates(lights, table, cones, cluster, sx, sy, sz, radius, near_block, near_gate)
+        for r in range(group, last):
+            if n + near > len(block):
+                grown = max(2 * len(block), n + near)
+                block, gate, mask = _grown(block, grown), _grown(gate, grown), _grown(mask, grown)
+            sx, sy, sz, radius = runs.centre[r, 0], runs.centre[r, 1], runs.centre[r, 2], runs.radius[r]
+            for k in range(near):
+                found = _ALL
+                if near_gate[k] != NO_GATE:
+                    found = _lanes_through(lights, near_block[k], table.gates, near_gate[k], sx, sy, sz, radius)
+                if found:
+                    block[n], gate[n], mask[n] = near_block[k], near_gate[k], found
+                    n += 1
+            first[r + 1 - begin] = n
+        group = last
+    return first, block[:n].copy(), gate[:n].copy(), mask[:n].copy()
+
+
+@kernel
+def _grown(array, room):
+    """A copy with more room."""
+    out = np.empty(room, array.dtype)
+    out[: len(array)] = array
+    return out
+
+
+def joined(parts: list) -> Lists:
+    """The lists of consecutive chunks as one."""
+    counts = [0, *np.cumsum([len(part[1]) for part in parts])]
+    first = [part[0][:-1] + before for part, before in zip(parts, counts)]
+    return Lists(np.concatenate([*first, counts[-1:]]), *(np.concatenate([part[k] for part in parts]) for k in (1, 2, 3)))
