@@ -259,6 +259,15 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     _add_scene(inspect, scene_is_open)
     _add_view(inspect)
     inspect.add_argument("--json", type=output_file(".json"), metavar="FILE", help="write the same as JSON")
+    inspect.add_argument("--topology", action="store_true", help="also rooms, visibility clusters and gates of the empty space")
+    inspect.add_argument(
+        "--voxels",
+        type=count,
+        default=RenderSettings.voxels,
+        metavar="R",
+        help="of the topology, along the longest side (default: %(default)s)",
+    )
+    inspect.add_argument("--skeleton", type=output_file(".obj"), metavar="FILE.obj", help="write skeleton and gates to look at")
 
     bench = commands.add_parser("bench", help="speed of the parts, measured on this machine")
     bench.add_argument("suite", nargs="?", default=SUITES[0], choices=SUITES, metavar="SUITE", help="%(choices)s (default: %(default)s)")

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.layers import CONTRACT, Layers, auto_exposure, write_png, write_preview
 
-IDS = ("PointClusters", "PointRepresentatives")  # numbers from 1; 0 is none
+IDS = ("PointClusters", "PointRepresentatives", "VisibilityClusters", "GeometryClusters")  # numbers from 1; 0 is none
 SHARES = ("VisibleShare", "VisibleShareBlended")  # 0 to 1
 WEIGHTS = "FuzzyWeights"  # the beginning of the names of layers of weights, 0 to 1
 # From dark blue through green to yellow, of rising luminance.

@@ -28,6 +28,7 @@ from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
 from .cluster_shading import Lights, blend_values, light_tables, shade, trace_clusters
+from .debug import largest_of_pixels
 from .instant_radiosity import clamp_of, compensate
 from .light_cache import no_cache
 
@@ -236,7 +237,7 @@ class FuzzyClustering:
         pictures = {"PointClusters": hard[:, None] + 1.0, "PointRepresentatives": representative}
         pictures |= {f"FuzzyWeights{k}": padded[:, 3 * k : 3 * k + 3] for k in range(padded.shape[1] // 3)}
         pictures |= {"VisibleShare": share[hard], "VisibleShareBlended": blended}
-        return {name: _picture(values, points.pixel, shape) for name, values in pictures.items()}
+        return {name: largest_of_pixels(values, points.pixel, shape) for name, values in pictures.items()}
 
 
 def lights_of(vpls: Vpls, clusters: VplClusters, shade_with: str) -> Lights:
@@ -266,10 +267,3 @@ def _blended(values: np.ndarray, indices: np.ndarray, weights: np.ndarray) -> np
 def _part(progress: Progress | None, begin: float, length: float) -> Progress | None:
     """The progress function of a part of the work."""
     return None if progress is None else lambda fraction: progress(begin + length * fraction)
-
-
-def _picture(values: np.ndarray, pixel: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """(H, W, C) of values (N, C): of a pixel's points the largest counts, so that single marked points are not lost."""
-    out = np.zeros((shape[0] * shape[1], values.shape[1]), np.float32)
-    np.maximum.at(out, pixel, values)
-    return out.reshape(*shape, -1)

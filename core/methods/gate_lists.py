@@ -17,10 +17,11 @@ from ..rays.order import morton_order
 from ..topology import SOLID, Gates
 
 POINTS = 64  # of a geometry cluster at most
-LANES = 32  # VPLs of a block at most, bits of a mask
+LANES = 16  # VPLs of a block at most, bits of a mask
 GROUP = 16  # geometry clusters that are tested together first
 NO_GATE = -1  # VPL and points are in the same visibility cluster
-_ALL = np.uint32(0xFFFFFFFF)
+ENTRANCE = 1 << 30  # on the number of a gate of the points' cluster, which comes after those of the VPL's
+_ALL = np.uint32((1 << LANES) - 1)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -52,7 +53,8 @@ class Lights(NamedTuple):
 class GateTable(NamedTuple):
     """Gates of each visibility cluster.
 
-    first: (clusters + 1,) int32; of: (2 G,) int32, the gates of a cluster.  gates: `Gates`.  polygons: whether they are polygons.
+    first: (clusters + 1,) int32; of: (2 G,) int32, the gates of a cluster.  gates: `Gates`.
+    polygons: whether they are polygons.  These are what the openings are, so that light must pass one of the points' cluster, too.
     """
 
     first: np.ndarray
@@ -64,7 +66,8 @@ class GateTable(NamedTuple):
 class Lists(NamedTuple):
     """What may light each of R geometry clusters, block by block.
 
-    first: (R + 1,) int64.  block, gate: (I,) int32, NO_GATE where no gate lies between.  mask: (I,) uint32, VPLs of the block.
+    first: (R + 1,) int64.  block, gate: (I,) int32, NO_GATE where no gate lies between; the gates of the points' cluster, by which
+    light enters, are marked with ENTRANCE and follow those by which it leaves.  mask: (I,) uint32, VPLs of the block.
     """
 
     first: np.ndarray
@@ -210,11 +213,57 @@ def _candidates(lights, table, cones, cluster, sx, sy, sz, radius, block, gate):
 
 
 @kernel
+def _entrances(runs, r, table, cones):
+    """Cones from the ball of a geometry cluster through its own gates into `cones` (most gates, 8); their number."""
+    c = runs.cluster[r]
+    if c == SOLID:
+        return 0
+    for k in range(table.first[c], table.first[c + 1]):
+        g = table.of[k]
+        cones[k - table.first[c]] = _cone(
+            runs.centre[r, 0], runs.centre[r, 1], runs.centre[r, 2], runs.radius[r],
+            table.gates.centre[g, 0], table.gates.centre[g, 1], table.gates.centre[g, 2], table.gates.radius[g],
+        )  # fmt: skip
+    return table.first[c + 1] - table.first[c]
+
+
+@kernel
+def _list_block(runs, r, lights, table, block, gates, entrances, found_gate, found_mask):
+    """What joins a block to a geometry cluster: gates and masks into `found_gate`, `found_mask`; their number, 0 if nothing does.
+
+    gates: of the block's cluster, candidates, or NO_GATE alone.  entrances: cones through the gates of the points' cluster.
+    """
+    if gates[0] == NO_GATE:
+        found_gate[0], found_mask[0] = NO_GATE, _ALL
+        return 1
+    n = 0
+    for g in gates:
+        mask = _lanes_through(lights, block, table.gates, g, runs.centre[r, 0], runs.centre[r, 1], runs.centre[r, 2], runs.radius[r])
+        if mask:
+            found_gate[n], found_mask[n] = g, mask
+            n += 1
+    if n == 0 or not table.polygons:
+        return n
+    blocks, leaving = lights.blocks, n
+    for k in range(len(entrances)):
+        cone = entrances[k]
+        if _meets(
+            cone[0], cone[1], cone[2], cone[3], cone[4], cone[5], cone[6], cone[7],
+            blocks.centre[block, 0], blocks.centre[block, 1], blocks.centre[block, 2], blocks.radius[block],
+        ):  # fmt: skip
+            found_gate[n], found_mask[n] = table.of[table.first[runs.cluster[r]] + k] | ENTRANCE, _ALL
+            n += 1
+    return n if n > leaving else 0
+
+
+@kernel
 def assign(runs, begin, end, lights, table, cones):
     """The lists of the geometry clusters begin..end-1: (first, block, gate, mask), `first` counted from 0."""
-    blocks = len(lights.blocks.cluster)
-    room = blocks * max(1, cones.shape[1])
+    most = max(1, cones.shape[1])
+    room = len(lights.blocks.cluster) * most
     near_block, near_gate = np.empty(room, np.int32), np.empty(room, np.int32)
+    entrances = np.empty((most, 8), np.float32)
+    found_gate, found_mask = np.empty(2 * most, np.int32), np.empty(2 * most, np.uint32)
     first = np.zeros(end - begin + 1, np.int64)
     block, gate, mask = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty(1024, np.uint32)
     n = 0
@@ -227,17 +276,20 @@ def assign(runs, begin, end, lights, table, cones):
         sx, sy, sz, radius = _group_sphere(runs, group, last)
         near = _candidates(lights, table, cones, cluster, sx, sy, sz, radius, near_block, near_gate)
         for r in range(group, last):
-            if n + near > len(block):
-                grown = max(2 * len(block), n + near)
-                block, gate, mask = _grown(block, grown), _grown(gate, grown), _grown(mask, grown)
-            sx, sy, sz, radius = runs.centre[r, 0], runs.centre[r, 1], runs.centre[r, 2], runs.radius[r]
-            for k in range(near):
-                found = _ALL
-                if near_gate[k] != NO_GATE:
-                    found = _lanes_through(lights, near_block[k], table.gates, near_gate[k], sx, sy, sz, radius)
-                if found:
-                    block[n], gate[n], mask[n] = near_block[k], near_gate[k], found
+            own = entrances[: _entrances(runs, r, table, entrances)]
+            at = 0
+            while at < near:
+                upto = at + 1
+                while upto < near and near_block[upto] == near_block[at]:
+                    upto += 1
+                found = _list_block(runs, r, lights, table, near_block[at], near_gate[at:upto], own, found_gate, found_mask)
+                if n + found > len(block):
+                    grown = 2 * len(block) + found
+                    block, gate, mask = _grown(block, grown), _grown(gate, grown), _grown(mask, grown)
+                for k in range(found):
+                    block[n], gate[n], mask[n] = near_block[at], found_gate[k], found_mask[k]
                     n += 1
+                at = upto
             first[r + 1 - begin] = n
         group = last
     return first, block[:n].copy(), gate[:n].copy(), mask[:n].copy()

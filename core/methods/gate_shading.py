@@ -6,7 +6,7 @@ import numpy as np
 
 from ..jit import kernel
 from ..topology.gates import DIRECTIONS, SIDES
-from .gate_lists import LANES, NO_GATE
+from .gate_lists import ENTRANCE, LANES, NO_GATE
 
 _TINY = np.float32(1e-15)  # m^2: keeps r^4 above zero
 _0 = np.float32(0.0)
@@ -14,32 +14,65 @@ _1 = np.float32(1.0)
 
 
 @kernel
-def _open_gate(table, at, gates, g, polygons, px, py, pz, inside):
-    """Set `inside` (LANES,) to 1 for the VPLs of a block, from column `at`, whose line to p passes gate g, and to 0 for the others."""
+def _pass_gate(table, at, gates, g, polygons, px, py, pz, mask, passed):
+    """Set `passed` (LANES,) to 1 for those VPLs of a block, from column `at`, in `mask` whose line to p passes gate g; whether any does."""
     cx, cy, cz = gates.centre[g, 0], gates.centre[g, 1], gates.centre[g, 2]
-    f = gates.frame[g]
+    ux, uy, uz = gates.frame[g, 0, 0], gates.frame[g, 0, 1], gates.frame[g, 0, 2]
+    vx, vy, vz = gates.frame[g, 1, 0], gates.frame[g, 1, 1], gates.frame[g, 1, 2]
+    nx, ny, nz = gates.frame[g, 2, 0], gates.frame[g, 2, 1], gates.frame[g, 2, 2]
     x, y, z = table[0, at : at + LANES], table[1, at : at + LANES], table[2, at : at + LANES]
     radius2 = gates.radius[g] * gates.radius[g]
-    toward = (px - cx) * f[2, 0] + (py - cy) * f[2, 1] + (pz - cz) * f[2, 2]
-    if not polygons:
-        for k in range(LANES):
-            ax, ay, az = x[k] - cx, y[k] - cy, z[k] - cz
-            before = ax * f[2, 0] + ay * f[2, 1] + az * f[2, 2]
-            t = before / (before - toward)
-            qx, qy, qz = ax + t * (px - x[k]), ay + t * (py - y[k]), az + t * (pz - z[k])
-            inside[k] = _1 if before * toward < _0 and qx * qx + qy * qy + qz * qz <= radius2 else _0
-        return
+    dx, dy, dz = px - cx, py - cy, pz - cz
+    toward = dx * nx + dy * ny + dz * nz
+    u, v, inside = np.empty(LANES, np.float32), np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    total = _0
     for k in range(LANES):
         ax, ay, az = x[k] - cx, y[k] - cy, z[k] - cz
-        before = ax * f[2, 0] + ay * f[2, 1] + az * f[2, 2]
+        before = ax * nx + ay * ny + az * nz
+        # Where the line meets the gate's plane, from its centre.
         t = before / (before - toward)
-        qx, qy, qz = ax + t * (px - x[k]), ay + t * (py - y[k]), az + t * (pz - z[k])
-        u = qx * f[0, 0] + qy * f[0, 1] + qz * f[0, 2]
-        v = qx * f[1, 0] + qy * f[1, 1] + qz * f[1, 2]
-        beyond = _0 if before * toward < _0 else _1
+        qx, qy, qz = ax + t * (dx - ax), ay + t * (dy - ay), az + t * (dz - az)
+        u[k], v[k] = qx * ux + qy * uy + qz * uz, qx * vx + qy * vy + qz * vz
+        among = np.float32((mask >> np.uint32(k)) & np.uint32(1))
+        inside[k] = among if before * toward < _0 and u[k] * u[k] + v[k] * v[k] <= radius2 else _0
+        total += inside[k]
+    if total > _0 and polygons:
+        total = _0
         for s in range(SIDES):
-            beyond += _1 if u * DIRECTIONS[s, 0] + v * DIRECTIONS[s, 1] > gates.extent[g, s] else _0
-        inside[k] = _0 if beyond > _0 else _1
+            a, b, reach = DIRECTIONS[s, 0], DIRECTIONS[s, 1], gates.extent[g, s]
+            for k in range(LANES):
+                inside[k] = inside[k] if u[k] * a + v[k] * b <= reach else _0
+        for k in range(LANES):
+            total += inside[k]
+    if total > _0:
+        for k in range(LANES):
+            passed[k] = max(passed[k], inside[k])
+    return total > _0
+
+
+@kernel
+def _see(lights, lists, begin, end, gate_table, px, py, pz, seen, entered):
+    """Set `seen` (LANES,) to 1 for the VPLs of a block, listed in begin..end-1, whose line to p passes the gates; whether any does."""
+    at = lists.block[begin] * LANES
+    if lists.gate[begin] == NO_GATE:
+        seen[:] = _1
+        return True
+    seen[:] = _0
+    entered[:] = _0
+    leaves = enters = False
+    for item in range(begin, end):
+        g, mask = lists.gate[item], lists.mask[item]
+        if g < ENTRANCE:
+            leaves |= _pass_gate(lights.table, at, gate_table.gates, g, gate_table.polygons, px, py, pz, mask, seen)
+        elif leaves:
+            enters |= _pass_gate(lights.table, at, gate_table.gates, g - ENTRANCE, gate_table.polygons, px, py, pz, mask, entered)
+        else:
+            return False
+    if gate_table.polygons:
+        for k in range(LANES):
+            seen[k] *= entered[k]
+        return enters
+    return leaves
 
 
 @kernel
@@ -66,28 +99,20 @@ def shade(points, runs, begin, end, lights, lists, gate_table, g_max, out):
 
     A VPL lights a point once, through however many gates their line passes.
     """
-    seen, inside = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    seen, entered = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
     pairs = 0
     for r in range(begin, end):
         i = lists.first[r]
         while i < lists.first[r + 1]:
-            block = lists.block[i]
             last = i + 1
-            while last < lists.first[r + 1] and lists.block[last] == block:
+            while last < lists.first[r + 1] and lists.block[last] == lists.block[i]:
                 last += 1
-            at = block * LANES
+            at = lists.block[i] * LANES
             for k in range(runs.first[r], runs.first[r + 1]):
                 p = runs.order[k]
                 px, py, pz = points.position[p, 0], points.position[p, 1], points.position[p, 2]
-                if lists.gate[i] == NO_GATE:
-                    seen[:] = _1
-                else:
-                    seen[:] = _0
-                    for item in range(i, last):
-                        _open_gate(lights.table, at, gate_table.gates, lists.gate[item], gate_table.polygons, px, py, pz, inside)
-                        for lane in range(LANES):
-                            bit = (lists.mask[item] >> np.uint32(lane)) & np.uint32(1)
-                            seen[lane] = max(seen[lane], inside[lane] * np.float32(bit))
+                if not _see(lights, lists, i, last, gate_table, px, py, pz, seen, entered):
+                    continue
                 red, green, blue = _light_of(lights.table, at, seen, px, py, pz, points.ns[p, 0], points.ns[p, 1], points.ns[p, 2], g_max)
                 out[p, 0] += red
                 out[p, 1] += green

@@ -16,6 +16,7 @@ from ..topology import Gates, Topology
 from ..transport import Transport
 from ..view.points import ShadingPoints
 from . import gate_lists
+from .debug import largest_of_pixels
 from .gate_lists import POINTS, Lists, Runs
 from .gate_shading import shade
 from .instant_radiosity import clamp_of, compensate
@@ -102,3 +103,17 @@ class VisibilityGates:
             return compensate(self.scene, no_cache(), points, begin, end, self.g_max, self.compensation, self.bounces, seed, out)
 
         self.rays += sum(run_chunks(work, len(out), _GATHER_CHUNK, self.threads))
+
+    def debug_layers(self, points: ShadingPoints, shape: tuple[int, int]) -> dict[str, np.ndarray]:
+        """Pictures (H, W, 1) of the clusters that the last `irradiance(points)` found, numbered from 1; 0 where there is none.
+
+        VisibilityClusters: of each pixel's point, in the topology.  GeometryClusters: of this view.
+        """
+        if self.runs is None:
+            return {}
+        sizes = np.diff(self.runs.first)
+        numbers = np.zeros((len(points.pixel), 2), np.float32)
+        numbers[self.runs.order, 0] = np.repeat(self.runs.cluster + 1, sizes)
+        numbers[self.runs.order, 1] = np.repeat(np.arange(1, len(sizes) + 1), sizes)
+        pictures = largest_of_pixels(numbers, points.pixel, shape)
+        return {"VisibilityClusters": pictures[..., :1], "GeometryClusters": pictures[..., 1:]}
