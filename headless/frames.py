@@ -18,7 +18,6 @@ from .console import Terminal
 from .sources import extract
 from .topology_files import StoredTopologies
 
-
 TOPOLOGIES = StoredTopologies()
 
 

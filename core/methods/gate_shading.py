@@ -14,8 +14,11 @@ _1 = np.float32(1.0)
 
 
 @kernel
-def _pass_gate(table, at, gates, g, polygons, px, py, pz, mask, passed):
-    """Set `passed` (LANES,) to 1 for those VPLs of a block, from column `at`, in `mask` whose line to p passes gate g; whether any does."""
+def _pass_gate(table, at, gates, g, polygons, px, py, pz, mask, passed, scratch):
+    """Set `passed` (LANES,) to 1 for those VPLs of a block, from column `at`, in `mask` whose line to p passes gate g; whether any does.
+
+    scratch: (3 or more, LANES) float32.
+    """
     cx, cy, cz = gates.centre[g, 0], gates.centre[g, 1], gates.centre[g, 2]
     ux, uy, uz = gates.frame[g, 0, 0], gates.frame[g, 0, 1], gates.frame[g, 0, 2]
     vx, vy, vz = gates.frame[g, 1, 0], gates.frame[g, 1, 1], gates.frame[g, 1, 2]
@@ -24,7 +27,7 @@ def _pass_gate(table, at, gates, g, polygons, px, py, pz, mask, passed):
     radius2 = gates.radius[g] * gates.radius[g]
     dx, dy, dz = px - cx, py - cy, pz - cz
     toward = dx * nx + dy * ny + dz * nz
-    u, v, inside = np.empty(LANES, np.float32), np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    u, v, inside = scratch[0], scratch[1], scratch[2]
     total = _0
     for k in range(LANES):
         ax, ay, az = x[k] - cx, y[k] - cy, z[k] - cz
@@ -51,21 +54,25 @@ def _pass_gate(table, at, gates, g, polygons, px, py, pz, mask, passed):
 
 
 @kernel
-def _see(lights, lists, begin, end, gate_table, px, py, pz, seen, entered):
-    """Set `seen` (LANES,) to 1 for the VPLs of a block, listed in begin..end-1, whose line to p passes the gates; whether any does."""
+def see(lights, lists, begin, end, gate_table, px, py, pz, seen, scratch):
+    """Set `seen` (LANES,) to 1 for the VPLs of a block, listed in begin..end-1, whose line to p passes the gates; whether any does.
+
+    scratch: (4, LANES) float32.
+    """
     at = lists.block[begin] * LANES
     if lists.gate[begin] == NO_GATE:
         seen[:] = _1
         return True
+    entered = scratch[3]
     seen[:] = _0
     entered[:] = _0
     leaves = enters = False
     for item in range(begin, end):
         g, mask = lists.gate[item], lists.mask[item]
         if g < ENTRANCE:
-            leaves |= _pass_gate(lights.table, at, gate_table.gates, g, gate_table.polygons, px, py, pz, mask, seen)
+            leaves |= _pass_gate(lights.table, at, gate_table.gates, g, gate_table.polygons, px, py, pz, mask, seen, scratch)
         elif leaves:
-            enters |= _pass_gate(lights.table, at, gate_table.gates, g - ENTRANCE, gate_table.polygons, px, py, pz, mask, entered)
+            enters |= _pass_gate(lights.table, at, gate_table.gates, g - ENTRANCE, gate_table.polygons, px, py, pz, mask, entered, scratch)
         else:
             return False
     if gate_table.polygons:
@@ -76,8 +83,11 @@ def _see(lights, lists, begin, end, gate_table, px, py, pz, seen, entered):
 
 
 @kernel
-def _light_of(table, at, seen, px, py, pz, nx, ny, nz, g_max):
-    """Irradiance (r, g, b) at a point by the VPLs of a block, from column `at`, weighed with `seen` (LANES,)."""
+def light_of(table, at, red_seen, green_seen, blue_seen, points, p, g_max):
+    """Irradiance (r, g, b) at point p by the VPLs of a block, from column `at`, each channel weighed with what is seen of it (LANES,)."""
+    px, py, pz = points.position[p, 0], points.position[p, 1], points.position[p, 2]
+    nx, ny, nz = points.ns[p, 0], points.ns[p, 1], points.ns[p, 2]
+    gx, gy, gz = points.ng[p, 0], points.ng[p, 1], points.ng[p, 2]
     x, y, z = table[0, at : at + LANES], table[1, at : at + LANES], table[2, at : at + LANES]
     mx, my, mz = table[3, at : at + LANES], table[4, at : at + LANES], table[5, at : at + LANES]
     red, green, blue = table[6, at : at + LANES], table[7, at : at + LANES], table[8, at : at + LANES]
@@ -86,10 +96,10 @@ def _light_of(table, at, seen, px, py, pz, nx, ny, nz, g_max):
         dx, dy, dz = x[j] - px, y[j] - py, z[j] - pz
         r2 = dx * dx + dy * dy + dz * dz + _TINY
         facing = max(nx * dx + ny * dy + nz * dz, _0) * max(-(mx[j] * dx + my[j] * dy + mz[j] * dz), _0)
-        w = min(facing / (r2 * r2), g_max) * seen[j]
-        r += w * red[j]
-        g += w * green[j]
-        b += w * blue[j]
+        w = min(facing / (r2 * r2), g_max) if gx * dx + gy * dy + gz * dz > _0 else _0
+        r += w * red[j] * red_seen[j]
+        g += w * green[j] * green_seen[j]
+        b += w * blue[j] * blue_seen[j]
     return r, g, b
 
 
@@ -99,7 +109,7 @@ def shade(points, runs, begin, end, lights, lists, gate_table, g_max, out):
 
     A VPL lights a point once, through however many gates their line passes.
     """
-    seen, entered = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    seen, scratch = np.empty(LANES, np.float32), np.empty((4, LANES), np.float32)
     pairs = 0
     for r in range(begin, end):
         i = lists.first[r]
@@ -111,9 +121,9 @@ def shade(points, runs, begin, end, lights, lists, gate_table, g_max, out):
             for k in range(runs.first[r], runs.first[r + 1]):
                 p = runs.order[k]
                 px, py, pz = points.position[p, 0], points.position[p, 1], points.position[p, 2]
-                if not _see(lights, lists, i, last, gate_table, px, py, pz, seen, entered):
+                if not see(lights, lists, i, last, gate_table, px, py, pz, seen, scratch):
                     continue
-                red, green, blue = _light_of(lights.table, at, seen, px, py, pz, points.ns[p, 0], points.ns[p, 1], points.ns[p, 2], g_max)
+                red, green, blue = light_of(lights.table, at, seen, seen, seen, points, p, g_max)
                 out[p, 0] += red
                 out[p, 1] += green
                 out[p, 2] += blue

@@ -11,18 +11,20 @@ import time
 import numpy as np
 
 from ..particles import Vpls
+from ..scene import TRANSPARENT
 from ..threads import Progress, run_chunks
 from ..topology import Gates, Topology
 from ..transport import Transport
 from ..view.points import ShadingPoints
 from . import gate_lists
 from .debug import largest_of_pixels
+from .gate_guided import shade_guided
 from .gate_lists import POINTS, Lists, Runs
 from .gate_shading import shade
 from .instant_radiosity import clamp_of, compensate
 from .light_cache import no_cache
 
-GATES = ("disks", "polygons", "off")
+GATES = ("disks", "polygons", "off", "guided")
 _CLUSTERS_A_CHUNK = 64
 _GATHER_CHUNK = 256  # points
 
@@ -30,7 +32,8 @@ _GATHER_CHUNK = 256  # points
 class VisibilityGates:
     """Light of the VPLs of a point's own visibility cluster, and of others through gates.
 
-    topology: of the scene.  gates: `disks` as in the paper, `polygons` fitted to the openings, or `off`: light stays in its cluster.
+    topology: of the scene.  gates: `disks` as in the paper, `polygons` fitted to the openings, or `off`: light stays in its cluster; `guided`:
+        shadow rays wherever the polygons leave it open whether a line is free.
     compensation: gather rays a point that give back the light taken by the clamp (0: none).
     seconds: of the stages of the last call of `irradiance`, by the paper's names.
     """
@@ -48,6 +51,7 @@ class VisibilityGates:
         self.threads = threads
         self.rays = 0
         self.pairs = 0
+        self.saved = 0  # shadow rays that the topology spared, net of those that probed it
         self.seconds: dict[str, float] = {}
         self.runs: Runs | None = None
 
@@ -58,12 +62,12 @@ class VisibilityGates:
         self.g_max = np.float32(clamp_of(vpls, points))
         clusters = self.topology.clusters_at(vpls.position, vpls.surface_normal)
         self.lights = gate_lists.lights_of(vpls, clusters)
-        self.table = gate_lists.gate_table(self._gates(), self.topology.clusters, self.gates == "polygons")
+        self.table = gate_lists.gate_table(self._gates(), self.topology.clusters, self.gates in ("polygons", "guided"))
 
     def _gates(self) -> Gates:
         if self.gates == "off":
             return Gates(*(array[:0] for array in self.topology.disks))
-        return self.topology.polygons if self.gates == "polygons" else self.topology.disks
+        return self.topology.disks if self.gates == "disks" else self.topology.polygons
 
     def irradiance(self, points: ShadingPoints, progress: Progress | None = None) -> np.ndarray:
         """Indirect irradiance at N points, (N, 3) float32, W/m^2."""
@@ -90,10 +94,23 @@ class VisibilityGates:
         return gate_lists.joined(run_chunks(work, len(self.runs.cluster), _CLUSTERS_A_CHUNK * gate_lists.GROUP, self.threads))
 
     def _shade(self, points: ShadingPoints, lists: Lists, out: np.ndarray, progress: Progress | None) -> None:
-        def work(begin, end):
-            return shade(points, self.runs, begin, end, self.lights, lists, self.table, self.g_max, out)
+        cutouts = bool((self.scene.materials.flags & TRANSPARENT).any())
 
-        self.pairs += sum(run_chunks(work, len(self.runs.cluster), _CLUSTERS_A_CHUNK, self.threads, progress))
+        def listed(begin, end):
+            return shade(points, self.runs, begin, end, self.lights, lists, self.table, self.g_max, out), 0, 0
+
+        def guided(begin, end):
+            probes, traced, saved, pairs = shade_guided(
+                self.scene, self.vpls, points, self.runs, begin, end, self.lights, lists, cutouts, self.g_max, np.uint32(self.seed), out
+            )
+            return pairs, probes + traced, saved - probes
+
+        work = guided if self.gates == "guided" else listed
+        counts = run_chunks(work, len(self.runs.cluster), _CLUSTERS_A_CHUNK, self.threads, progress)
+        pairs, rays, saved = (sum(column) for column in zip(*counts))
+        self.pairs += pairs
+        self.rays += rays
+        self.saved += saved
 
     def _give_back(self, points: ShadingPoints, out: np.ndarray) -> None:
         """Adds the light that the clamp took, by gather rays."""

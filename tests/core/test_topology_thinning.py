@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from . import topology_oracle as oracle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
@@ -12,6 +11,8 @@ from lumigate.core.topology.distance import distance_map, opening_map
 from lumigate.core.topology.opening import open_shells
 from lumigate.core.topology.skeleton import skeleton_of
 from lumigate.core.topology.thinning import CURVES, TOPOLOGY, Thinning, thin
+
+from . import topology_oracle as oracle
 
 
 @st.composite

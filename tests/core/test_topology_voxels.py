@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from .topology_oracle import touches
 
 from lumigate.core.errors import SceneError
 from lumigate.core.topology import bits
 from lumigate.core.topology.distance import distance_map, opening_map
 from lumigate.core.topology.voxels import Grid, empty_voxels, voxelise
+
+from .topology_oracle import touches
 
 
 def _triangles(rng, count, spread):

@@ -1,0 +1,163 @@
+"""Gate-guided visibility: the topology answers where it is certain, shadow rays decide the rest.
+
+Beyond the visibility gates paper.  A block of VPLs and a geometry cluster are certain where the topology has a clear answer, one quasi-convex
+cluster, or no line that passes the gates, and a few rays between them, well spread, all agree with it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..jit import inlined, kernel
+from ..rays.offsets import shadow_segment
+from ..rays.packet import WIDTH, new_packet, set_ray
+from ..sampling.hashing import uniform
+from ..scene import DIFFUSE
+from ..surfaces.layout import SURFACE
+from ..surfaces.program import new_registers
+from ..surfaces.visibility import shadow_packet
+from .gate_lists import LANES, NO_GATE, POINTS
+from .gate_shading import light_of
+
+OPEN, DARK, UNCERTAIN = 0, 1, 2
+PROBES = 16  # rays that must agree with the topology; one packet
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+
+
+@inlined
+def _facing(points, p, table, j):
+    """Whether a point and a VPL face each other, and the VPL shines at all."""
+    dx, dy, dz = table[0, j] - points.position[p, 0], table[1, j] - points.position[p, 1], table[2, j] - points.position[p, 2]
+    at_point = dx * points.ns[p, 0] + dy * points.ns[p, 1] + dz * points.ns[p, 2]
+    above = dx * points.ng[p, 0] + dy * points.ng[p, 1] + dz * points.ng[p, 2]
+    at_light = dx * table[3, j] + dy * table[4, j] + dz * table[5, j]
+    return at_point > _0 and above > _0 and at_light < _0
+
+
+@inlined
+def _set_shadow_ray(packet, lane, points, p, vpls, m):
+    """The shadow ray from point p to VPL m into a lane."""
+    ox, oy, oz, dx, dy, dz = shadow_segment(
+        points.position[p, 0], points.position[p, 1], points.position[p, 2],
+        points.ng[p, 0], points.ng[p, 1], points.ng[p, 2], points.error[p],
+        vpls.position[m, 0], vpls.position[m, 1], vpls.position[m, 2],
+        vpls.normal[m, 0], vpls.normal[m, 1], vpls.normal[m, 2], vpls.error[m],
+    )  # fmt: skip
+    set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
+
+
+@kernel
+def _trace(scene, packet, rows, surface, count, cutouts, through):
+    """Trace the shadow rays in lanes 0..count-1; the light that they let through into `through` (WIDTH, 3)."""
+    shadow_packet(scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, count, DIFFUSE, cutouts, through)
+
+
+@kernel
+def _answer(lists, at, end, block):
+    """What the topology says of a block that is item `at` of the lists, or not among them, and whether all gates are open to it."""
+    if at < end and lists.block[at] == block:
+        return OPEN if lists.gate[at] == NO_GATE else UNCERTAIN
+    return DARK
+
+
+@kernel
+def _probe(points, runs, r, lights, block, vpls, packet, seed):
+    """Set up to PROBES shadow rays between random pairs that face each other; their number."""
+    table, blocks = lights.table, lights.blocks
+    first, size = runs.first[r], runs.first[r + 1] - runs.first[r]
+    light_first, light_size = blocks.first[block], blocks.first[block + 1] - blocks.first[block]
+    rays = 0
+    for k in range(PROBES):
+        # Points in order, lights in a shuffled one: each probe stands for other pairs than the rest.
+        i = min(size - 1, np.int64((np.float32(k) + uniform(seed, r, block, 2 * k)) / np.float32(PROBES) * np.float32(size)))
+        lane = min(light_size - 1, np.int64(uniform(seed, r, block, 2 * k + 1) * np.float32(light_size)))
+        p = runs.order[first + i]
+        if _facing(points, p, table, block * LANES + lane):
+            _set_shadow_ray(packet, rays, points, p, vpls, blocks.order[light_first + lane])
+            rays += 1
+    return rays
+
+
+@kernel
+def _see_all(scene, points, runs, r, lights, block, vpls, packet, rows, surface, cutouts, through, visible):
+    """Shadow rays of all pairs that face each other; what they let through into `visible` (POINTS, 3, LANES); their number."""
+    table, blocks = lights.table, lights.blocks
+    first, size = runs.first[r], runs.first[r + 1] - runs.first[r]
+    lane_of = np.empty(WIDTH, np.int64)
+    rays = 0
+    for light in range(blocks.first[block + 1] - blocks.first[block]):
+        m = blocks.order[blocks.first[block] + light]
+        i = 0
+        while i < size:
+            lanes = 0
+            while i < size and lanes < WIDTH:
+                p = runs.order[first + i]
+                if _facing(points, p, table, block * LANES + light):
+                    _set_shadow_ray(packet, lanes, points, p, vpls, m)
+                    lane_of[lanes] = i
+                    lanes += 1
+                i += 1
+            if lanes == 0:
+                break
+            _trace(scene, packet, rows, surface, lanes, cutouts, through)
+            rays += lanes
+            for lane in range(lanes):
+                for c in range(3):
+                    visible[lane_of[lane], c, light] = through[lane, c]
+    return rays
+
+
+@kernel
+def shade_guided(scene, vpls, points, runs, begin, end, lights, lists, cutouts, g_max, seed, out):
+    """Adds the light of all VPLs to the points of the geometry clusters begin..end-1.
+
+    Returns (probes, rays,
+    rays that the topology saved, pairs shaded)."""
+    packet, surface = new_packet(), np.zeros(SURFACE, np.float32)
+    rows = new_registers(scene.materials)
+    through = np.ones((WIDTH, 3), np.float32)
+    visible = np.empty((POINTS, 3, LANES), np.float32)
+    probes = traced = saved = pairs = 0
+    for r in range(begin, end):
+        at = lists.first[r]
+        for block in range(len(lights.blocks.cluster)):
+            answer = _answer(lists, at, lists.first[r + 1], block)
+            while at < lists.first[r + 1] and lists.block[at] == block:
+                at += 1
+            if answer != UNCERTAIN:
+                rays = _probe(points, runs, r, lights, block, vpls, packet, seed)
+                if rays:
+                    _trace(scene, packet, rows, surface, rays, cutouts, through)
+                probes += rays
+                expected = _1 if answer == OPEN else _0
+                for lane in range(rays):
+                    if through[lane, 0] != expected or through[lane, 1] != expected or through[lane, 2] != expected:
+                        answer = UNCERTAIN
+            if answer == UNCERTAIN:
+                visible[:] = _0
+                traced += _see_all(scene, points, runs, r, lights, block, vpls, packet, rows, surface, cutouts, through, visible)
+            else:
+                saved += _pairs(points, runs, r, lights, block)
+                if answer == DARK:
+                    continue
+                visible[:] = _1
+            for k in range(runs.first[r], runs.first[r + 1]):
+                p = runs.order[k]
+                of = visible[k - runs.first[r]]
+                red, green, blue = light_of(lights.table, block * LANES, of[0], of[1], of[2], points, p, g_max)
+                out[p, 0] += red
+                out[p, 1] += green
+                out[p, 2] += blue
+                pairs += LANES
+    return probes, traced, saved, pairs
+
+
+@kernel
+def _pairs(points, runs, r, lights, block):
+    """Pairs that face each other: the shadow rays of a geometry cluster and a block."""
+    count = 0
+    for k in range(runs.first[r], runs.first[r + 1]):
+        for lane in range(lights.blocks.first[block + 1] - lights.blocks.first[block]):
+            count += _facing(points, runs.order[k], lights.table, block * LANES + lane)
+    return count
