@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from .rays import RayScene
 from .scene import POINT, SPOT, TRANSPARENT, Scene, Skipped
 from .settings import RenderSettings
 from .threads import Cancelled, thread_count
-from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, rooms_seen, without_emitters
+from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, reachable_vpls, rooms_seen, without_emitters
 from .transport import Transport, transport
 from .view.points import ShadingPoints
 from .view.primary import view
@@ -265,8 +266,8 @@ def _indirect(
         if sampler:
             vpls, counts = sampler.prepare(tables, points, settings.vpls, tick)
         else:
-            reached = tables if run.topology is None else _within_reach(run, tables, points)
-            vpls, counts = vpl_pool(reached, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick)
+            reached, wanted = (tables, None) if run.topology is None else _within_reach(run, tables, points)
+            vpls, counts = vpl_pool(reached, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick, share=wanted)
         run.rays["light"] += counts["light"]
         run.rays["shadow"] += counts["shadow"]
         if counts["useless"]:
@@ -315,14 +316,14 @@ def _indirect(
     return irradiance, vpls
 
 
-def _within_reach(run: _Run, tables: Transport, points: ShadingPoints) -> Transport:
-    """The tables without the emission of what lies in rooms that no path joins to those that are seen."""
+def _within_reach(run: _Run, tables: Transport, points: ShadingPoints) -> tuple[Transport, Callable[[Vpls], np.ndarray]]:
+    """The tables without the emission of what lies in rooms that no path joins to those that are seen, and which VPLs do not (M,)."""
     seen = rooms_seen(run.topology, points)
     kept = reachable_emitters(run.topology, seen, tables.emitters)
-    if kept.all():
-        return tables
-    run.skip("lamps", f"{np.count_nonzero(~kept)} lamps and shining triangles are in rooms with no way to what is seen")
-    return tables._replace(emitters=without_emitters(tables.emitters, kept))
+    if not kept.all():
+        run.skip("lamps", f"{np.count_nonzero(~kept)} lamps and shining triangles are in rooms with no way to what is seen")
+        tables = tables._replace(emitters=without_emitters(tables.emitters, kept))
+    return tables, partial(reachable_vpls, run.topology, seen)
 
 
 def single_lights(tables: Transport, vpls: Vpls, points: ShadingPoints, shape: tuple[int, int], threads: int) -> dict[str, np.ndarray]:

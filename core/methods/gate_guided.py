@@ -17,7 +17,7 @@ from ..surfaces.layout import SURFACE
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import shadow_packet
 from .gate_lists import LANES, NO_GATE, POINTS
-from .gate_shading import light_of
+from .gate_shading import light_of, see
 
 OPEN, DARK, UNCERTAIN = 0, 1, 2
 PROBES = 16  # rays that must agree with the topology; one packet
@@ -54,29 +54,43 @@ def _trace(scene, packet, rows, surface, count, cutouts, through):
 
 
 @kernel
-def _answer(lists, at, end, block):
-    """What the topology says of a block that is item `at` of the lists, or not among them, and whether all gates are open to it."""
-    if at < end and lists.block[at] == block:
-        return OPEN if lists.gate[at] == NO_GATE else UNCERTAIN
-    return DARK
+def _probe(points, runs, r, lights, block, vpls, packet, seed, pairs):
+    """Set shadow rays between random pairs of a geometry cluster and a block that face each other; their number, at most PROBES.
 
-
-@kernel
-def _probe(points, runs, r, lights, block, vpls, packet, seed):
-    """Set up to PROBES shadow rays between random pairs that face each other; their number."""
+    pairs: (PROBES, 2) int64, takes the point and the VPL's place in the block.
+    """
     table, blocks = lights.table, lights.blocks
     first, size = runs.first[r], runs.first[r + 1] - runs.first[r]
     light_first, light_size = blocks.first[block], blocks.first[block + 1] - blocks.first[block]
     rays = 0
     for k in range(PROBES):
-        # Points in order, lights in a shuffled one: each probe stands for other pairs than the rest.
+        # Points in order, lights in any: each probe stands for other pairs than the rest.
         i = min(size - 1, np.int64((np.float32(k) + uniform(seed, r, block, 2 * k)) / np.float32(PROBES) * np.float32(size)))
         lane = min(light_size - 1, np.int64(uniform(seed, r, block, 2 * k + 1) * np.float32(light_size)))
         p = runs.order[first + i]
         if _facing(points, p, table, block * LANES + lane):
             _set_shadow_ray(packet, rays, points, p, vpls, blocks.order[light_first + lane])
+            pairs[rays, 0], pairs[rays, 1] = p, lane
             rays += 1
     return rays
+
+
+@kernel
+def _answer(lights, lists, begin, end, gate_table, points, pairs, count, seen, scratch):
+    """What the topology says of `count` pairs of a block that is listed in begin..end-1, or not at all, if it says one thing of all."""
+    if begin == end:
+        return DARK
+    if lists.gate[begin] == NO_GATE:
+        return OPEN
+    open_ = 0
+    for k in range(count):
+        p = pairs[k, 0]
+        x, y, z = points.position[p, 0], points.position[p, 1], points.position[p, 2]
+        if see(lights, lists, begin, end, gate_table, x, y, z, seen, scratch) and seen[pairs[k, 1]] > _0:
+            open_ += 1
+        if 0 < open_ < k + 1:
+            return UNCERTAIN
+    return OPEN if open_ else DARK
 
 
 @kernel
@@ -109,26 +123,29 @@ def _see_all(scene, points, runs, r, lights, block, vpls, packet, rows, surface,
 
 
 @kernel
-def shade_guided(scene, vpls, points, runs, begin, end, lights, lists, cutouts, g_max, seed, out):
+def shade_guided(scene, vpls, points, runs, begin, end, lights, lists, gate_table, cutouts, g_max, seed, out):
     """Adds the light of all VPLs to the points of the geometry clusters begin..end-1.
 
-    Returns (probes, rays,
-    rays that the topology saved, pairs shaded)."""
+    Returns (probes, rays, rays that the topology saved, pairs shaded).
+    """
     packet, surface = new_packet(), np.zeros(SURFACE, np.float32)
     rows = new_registers(scene.materials)
     through = np.ones((WIDTH, 3), np.float32)
     visible = np.empty((POINTS, 3, LANES), np.float32)
+    seen, scratch = np.empty(LANES, np.float32), np.empty((4, LANES), np.float32)
+    probed = np.empty((PROBES, 2), np.int64)
     probes = traced = saved = pairs = 0
     for r in range(begin, end):
         at = lists.first[r]
         for block in range(len(lights.blocks.cluster)):
-            answer = _answer(lists, at, lists.first[r + 1], block)
-            while at < lists.first[r + 1] and lists.block[at] == block:
-                at += 1
-            if answer != UNCERTAIN:
-                rays = _probe(points, runs, r, lights, block, vpls, packet, seed)
-                if rays:
-                    _trace(scene, packet, rows, surface, rays, cutouts, through)
+            upto = at
+            while upto < lists.first[r + 1] and lists.block[upto] == block:
+                upto += 1
+            rays = _probe(points, runs, r, lights, block, vpls, packet, seed, probed)
+            answer = _answer(lights, lists, at, upto, gate_table, points, probed, rays, seen, scratch)
+            at = upto
+            if answer != UNCERTAIN and rays:
+                _trace(scene, packet, rows, surface, rays, cutouts, through)
                 probes += rays
                 expected = _1 if answer == OPEN else _0
                 for lane in range(rays):

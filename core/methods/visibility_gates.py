@@ -101,7 +101,19 @@ class VisibilityGates:
 
         def guided(begin, end):
             probes, traced, saved, pairs = shade_guided(
-                self.scene, self.vpls, points, self.runs, begin, end, self.lights, lists, cutouts, self.g_max, np.uint32(self.seed), out
+                self.scene,
+                self.vpls,
+                points,
+                self.runs,
+                begin,
+                end,
+                self.lights,
+                lists,
+                self.table,
+                cutouts,
+                self.g_max,
+                np.uint32(self.seed),
+                out,
             )
             return pairs, probes + traced, saved - probes
 
