@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel
-from ..topology.gates import DIRECTIONS, SIDES
+from ..topology.gates import CELLS, SIDES
 from .gate_lists import ENTRANCE, LANES, NO_GATE
 
 _TINY = np.float32(1e-15)  # m^2: keeps r^4 above zero
@@ -41,12 +41,15 @@ def _pass_gate(table, at, gates, g, polygons, px, py, pz, mask, passed, scratch)
         total += inside[k]
     if total > _0 and polygons:
         total = _0
-        for s in range(SIDES):
-            a, b, reach = DIRECTIONS[s, 0], DIRECTIONS[s, 1], gates.extent[g, s]
-            for k in range(LANES):
-                inside[k] = inside[k] if u[k] * a + v[k] * b <= reach else _0
+        low_u, low_v = -gates.extent[g, SIDES // 2], -gates.extent[g, 3 * SIDES // 4]
+        to_u = np.float32(CELLS) / (gates.extent[g, 0] - low_u)
+        to_v = np.float32(CELLS) / (gates.extent[g, SIDES // 4] - low_v)
         for k in range(LANES):
-            total += inside[k]
+            if inside[k] > _0:
+                i, j = np.int64(np.floor((u[k] - low_u) * to_u)), np.int64(np.floor((v[k] - low_v) * to_v))
+                covered = 0 <= i < CELLS and 0 <= j < CELLS and (gates.raster[g, j] >> i) & 1
+                inside[k] = _1 if covered else _0
+                total += inside[k]
     if total > _0:
         for k in range(LANES):
             passed[k] = max(passed[k], inside[k])

@@ -104,7 +104,7 @@ def build_topology(
     skeleton = skeleton_of(empty, closed=closed, threads=threads)
     clock.lap("thinning")
     segmented = segment(skeleton)
-    cluster = visibility_clusters(skeleton, segmented, alpha)
+    cluster = visibility_clusters(skeleton, segmented, empty, alpha)
     clock.lap("clusters")
     node_of = nodes_of_voxels(empty, skeleton.place, segmented.owner)
     clock.lap("voxel map")

@@ -16,6 +16,7 @@ from .segmentation import Segmented
 from .skeleton import Skeleton
 from .voxels import Grid
 
+CELLS = 16  # of an opening's raster, along either side
 SIDES = 12  # of a polygon: half-planes in fixed directions about its centre
 DIRECTIONS = np.stack([np.cos(2 * np.pi * np.arange(SIDES) / SIDES), np.sin(2 * np.pi * np.arange(SIDES) / SIDES)], 1).astype(np.float32)
 
@@ -26,6 +27,8 @@ class Gates(NamedTuple):
     clusters: (G, 2) int32, on the side the normal comes from and on the side it points to.  centre: (G, 3) float32 (m).
     frame: (G, 3, 3) float32, unit vectors u, v, normal.  radius: (G,) float32 (m), of the disk, or of the circle round the polygon.
     extent: (G, SIDES) float32 (m), how far a polygon reaches along DIRECTIONS in (u, v); all radii of a disk.
+    raster: (G, CELLS) uint16, which cells of the polygon's bounding rectangle the opening covers: bit i of row j is the cell i along u
+        and j along v; all of a disk's.
     """
 
     clusters: np.ndarray
@@ -33,6 +36,7 @@ class Gates(NamedTuple):
     frame: np.ndarray
     radius: np.ndarray
     extent: np.ndarray
+    raster: np.ndarray
 
     def outlines(self) -> np.ndarray:
         """(G, SIDES, 3) corners of the polygons (m): where neighbouring half-planes meet."""
@@ -59,7 +63,28 @@ def disk_gates(grid: Grid, skeleton: Skeleton, segmented: Segmented, cluster: np
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     radius = (scale * grid.size * skeleton.radius[segmented.node[edges]].min(axis=1)).astype(np.float32)
     extent = np.repeat(radius[:, None], SIDES, axis=1)
-    return Gates(cluster[edges].astype(np.int32), ((a + b) / 2).astype(np.float32), frames_about(along), radius, extent)
+    return Gates(
+        cluster[edges].astype(np.int32), ((a + b) / 2).astype(np.float32), frames_about(along), radius, extent, _all_open(len(radius))
+    )
+
+
+def _all_open(count: int) -> np.ndarray:
+    return np.full((count, CELLS), 0xFFFF, np.uint16)
+
+
+def _rasters(extent: np.ndarray, which: np.ndarray, uv: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """(G, CELLS) uint16 rasters of voxel faces (F, 2) in the planes of the gates `which` (F,).
+
+    half: (F, 2) half the size of each face's shadow in its plane; it marks the cells under 5 x 5 places of it, as many as it can cover.
+    """
+    low = -extent[:, [SIDES // 2, 3 * SIDES // 4]].astype(np.float64)
+    size = extent[:, [0, SIDES // 4]] - low
+    out = np.zeros((len(extent), CELLS), np.uint16)
+    steps = np.linspace(-1, 1, 5)
+    for step in ((a, b) for a in steps for b in steps):
+        cell = ((uv + half * step - low[which]) / size[which] * CELLS).astype(int).clip(0, CELLS - 1)
+        np.bitwise_or.at(out, (which, cell[:, 1]), np.uint16(1) << cell[:, 0].astype(np.uint16))
+    return out
 
 
 def _openings(cluster: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -111,7 +136,7 @@ def polygon_gates(grid: Grid, cluster: np.ndarray, scale: float = 1.0) -> Gates:
     pairs, places, signs = _openings(cluster)
     if not len(pairs):
         e = np.empty
-        return Gates(e((0, 2), np.int32), *(e((0, *s), np.float32) for s in ((3,), (3, 3), (), (SIDES,))))
+        return Gates(e((0, 2), np.int32), *(e((0, *s), np.float32) for s in ((3,), (3, 3), (), (SIDES,))), _all_open(0))
     opening = _connected(pairs, places, signs, grid.shape)
     order = np.argsort(opening, kind="stable")
     pairs, places, signs, opening = pairs[order], places[order], signs[order], opening[order]
@@ -130,7 +155,12 @@ def polygon_gates(grid: Grid, cluster: np.ndarray, scale: float = 1.0) -> Gates:
     u = np.einsum("fc,fdc->fd", away, frame[which, :2])
     reach = u @ DIRECTIONS.T.astype(np.float64) + 0.5 * grid.size
     extent = scale * np.maximum.reduceat(reach, start)
-    extent = np.maximum(extent, 0.5 * grid.size).astype(np.float32)
-    gates = Gates(pairs[start].astype(np.int32), centre.astype(np.float32), frame, np.zeros(len(start), np.float32), extent)
+    # Cells are a quarter of a voxel at least: the raster, not the polygon, shows what is smaller.
+    extent = np.maximum(extent, CELLS / 8 * grid.size).astype(np.float32)
+    # What a face's square casts on u and v: its sides lie along the other two axes.
+    sides = 1 - np.eye(3)[np.abs(signs) - 1]
+    half = 0.45 * grid.size * np.einsum("fc,fdc->fd", sides, np.abs(frame[which, :2]))
+    raster = _rasters(extent / scale, which, u, half)
+    gates = Gates(pairs[start].astype(np.int32), centre.astype(np.float32), frame, np.zeros(len(start), np.float32), extent, raster)
     radius = np.linalg.norm(gates.outlines() - gates.centre[:, None], axis=2).max(axis=1)
     return gates._replace(radius=radius.astype(np.float32))

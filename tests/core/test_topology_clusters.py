@@ -130,6 +130,18 @@ def test_polygons_fit_the_opening():
     # A rectangle of 2 x 5 m, its corners cut by no more than the fixed directions allow.
     assert np.abs(outline[:, 1] - 3).max() == pytest.approx(1.0, abs=0.08)
     assert np.abs(outline[:, 2] - 2.5).max() == pytest.approx(2.5, abs=0.2)
+    assert (gates.raster[0] == 0xFFFF).all()
+
+
+def test_the_raster_keeps_what_a_polygon_covers_too_much_of():
+    # An opening like an L: its polygon covers the corner that is a wall, its raster does not.
+    cluster = np.zeros((16, 16, 20), np.int32)
+    cluster[:, :, 10:] = 1
+    cluster[8:, 8:, 9:11] = SOLID
+    gates = polygon_gates(Grid(np.zeros(3), 0.5, (20, 16, 16)), cluster)
+    assert len(gates.radius) == 1
+    open_cells = np.array([[row >> i & 1 for i in range(16)] for row in gates.raster[0]])
+    assert open_cells.mean() == pytest.approx(0.75, abs=0.08)
 
 
 def test_two_windows_are_two_gates():
