@@ -17,7 +17,7 @@ from .outputs import OutputError, check_file, check_folder
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 LAST_FRAME = 1_048_574  # Blender's MAXFRAME
-SUITES = ("kernels", "clustering", "fuzzy", "previews", "curves")  # of `bench`
+SUITES = ("kernels", "clustering", "fuzzy", "topology", "previews", "curves")  # of `bench`
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
 
 

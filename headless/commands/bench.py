@@ -18,10 +18,18 @@ from ..fuzzy_bench import fuzzy_rows
 from ..kernel_bench import ray_rows
 from ..preview_bench import preview_rows
 from ..results import write_json
+from ..topology_bench import topology_rows
 
 # Keys as in `arguments.SUITES`.
-ROWS = {"kernels": ray_rows, "clustering": clustering_rows, "fuzzy": fuzzy_rows, "previews": preview_rows, "curves": curves_rows}
-PICTURED = ("curves",)  # suites that leave pictures in DIR, too
+ROWS = {
+    "kernels": ray_rows,
+    "clustering": clustering_rows,
+    "fuzzy": fuzzy_rows,
+    "topology": topology_rows,
+    "previews": preview_rows,
+    "curves": curves_rows,
+}
+PICTURED = ("curves", "topology")  # suites that leave pictures in DIR, too
 PACKAGES = ("bpy", "numpy", "numba", "llvmlite", "scipy", "embreex", "OpenImageIO")
 
 
