@@ -17,7 +17,7 @@ from ..surfaces.layout import SURFACE
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import shadow_packet
 from .gate_lists import LANES, NO_GATE, POINTS
-from .gate_shading import light_of, see
+from .gate_shading import gathered, light_block, scatter, see
 
 OPEN, DARK, UNCERTAIN = 0, 1, 2
 PROBES = 16  # rays that must agree with the topology; one packet
@@ -57,7 +57,7 @@ def _trace(scene, packet, rows, surface, count, cutouts, through):
 def _probe(points, runs, r, lights, block, vpls, packet, seed, pairs):
     """Set shadow rays between random pairs of a geometry cluster and a block that face each other; their number, at most PROBES.
 
-    pairs: (PROBES, 2) int64, takes the point and the VPL's place in the block.
+    pairs: (PROBES, 2) int64, takes the places of the point in its cluster and of the VPL in its block.
     """
     table, blocks = lights.table, lights.blocks
     first, size = runs.first[r], runs.first[r + 1] - runs.first[r]
@@ -70,32 +70,29 @@ def _probe(points, runs, r, lights, block, vpls, packet, seed, pairs):
         p = runs.order[first + i]
         if _facing(points, p, table, block * LANES + lane):
             _set_shadow_ray(packet, rays, points, p, vpls, blocks.order[light_first + lane])
-            pairs[rays, 0], pairs[rays, 1] = p, lane
+            pairs[rays, 0], pairs[rays, 1] = i, lane
             rays += 1
     return rays
 
 
 @kernel
-def _answer(lights, lists, begin, end, gate_table, points, pairs, count, seen, scratch):
+def _answer(lights, lists, begin, end, gate_table, local, n, pairs, count, seen, entered, scratch):
     """What the topology says of `count` pairs of a block that is listed in begin..end-1, or not at all, if it says one thing of all."""
     if begin == end:
         return DARK
     if lists.gate[begin] == NO_GATE:
         return OPEN
+    if not see(lights, lists, begin, end, gate_table, local, n, seen, entered, scratch):
+        return DARK
     open_ = 0
     for k in range(count):
-        p = pairs[k, 0]
-        x, y, z = points.position[p, 0], points.position[p, 1], points.position[p, 2]
-        if see(lights, lists, begin, end, gate_table, x, y, z, seen, scratch) and seen[pairs[k, 1]] > _0:
-            open_ += 1
-        if 0 < open_ < k + 1:
-            return UNCERTAIN
-    return OPEN if open_ else DARK
+        open_ += seen[pairs[k, 1], pairs[k, 0]] > _0
+    return OPEN if open_ == count else (UNCERTAIN if open_ else DARK)
 
 
 @kernel
 def _see_all(scene, points, runs, r, lights, block, vpls, packet, rows, surface, cutouts, through, visible):
-    """Shadow rays of all pairs that face each other; what they let through into `visible` (POINTS, 3, LANES); their number."""
+    """Shadow rays of all pairs that face each other; what they let through into `visible` (3, LANES, POINTS); their number."""
     table, blocks = lights.table, lights.blocks
     first, size = runs.first[r], runs.first[r + 1] - runs.first[r]
     lane_of = np.empty(WIDTH, np.int64)
@@ -118,7 +115,7 @@ def _see_all(scene, points, runs, r, lights, block, vpls, packet, rows, surface,
             rays += lanes
             for lane in range(lanes):
                 for c in range(3):
-                    visible[lane_of[lane], c, light] = through[lane, c]
+                    visible[c, light, lane_of[lane]] = through[lane, c]
     return rays
 
 
@@ -131,18 +128,20 @@ def shade_guided(scene, vpls, points, runs, begin, end, lights, lists, gate_tabl
     packet, surface = new_packet(), np.zeros(SURFACE, np.float32)
     rows = new_registers(scene.materials)
     through = np.ones((WIDTH, 3), np.float32)
-    visible = np.empty((POINTS, 3, LANES), np.float32)
-    seen, scratch = np.empty(LANES, np.float32), np.empty((4, LANES), np.float32)
+    visible, entered = np.empty((3, LANES, POINTS), np.float32), np.empty((LANES, POINTS), np.float32)
+    scratch, local, light = np.empty((3, POINTS), np.float32), np.empty((9, POINTS), np.float32), np.empty((3, POINTS), np.float32)
     probed = np.empty((PROBES, 2), np.int64)
     probes = traced = saved = pairs = 0
     for r in range(begin, end):
+        n = gathered(points, runs, r, local)
+        light[:] = _0
         at = lists.first[r]
         for block in range(len(lights.blocks.cluster)):
             upto = at
             while upto < lists.first[r + 1] and lists.block[upto] == block:
                 upto += 1
             rays = _probe(points, runs, r, lights, block, vpls, packet, seed, probed)
-            answer = _answer(lights, lists, at, upto, gate_table, points, probed, rays, seen, scratch)
+            answer = _answer(lights, lists, at, upto, gate_table, local, n, probed, rays, visible[0], entered, scratch)
             at = upto
             if answer != UNCERTAIN and rays:
                 _trace(scene, packet, rows, surface, rays, cutouts, through)
@@ -159,14 +158,10 @@ def shade_guided(scene, vpls, points, runs, begin, end, lights, lists, gate_tabl
                 if answer == DARK:
                     continue
                 visible[:] = _1
-            for k in range(runs.first[r], runs.first[r + 1]):
-                p = runs.order[k]
-                of = visible[k - runs.first[r]]
-                red, green, blue = light_of(lights.table, block * LANES, of[0], of[1], of[2], points, p, g_max)
-                out[p, 0] += red
-                out[p, 1] += green
-                out[p, 2] += blue
-                pairs += LANES
+            lanes = lights.blocks.first[block + 1] - lights.blocks.first[block]
+            light_block(lights.table, block * LANES, lanes, local, n, visible[0], visible[1], visible[2], g_max, light)
+            pairs += n * lanes
+        scatter(light, runs, r, out)
     return probes, traced, saved, pairs
 
 

@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import kernel
 from ..particles import Vpls
 from ..rays.order import morton_order
-from ..topology import SOLID, Gates
+from ..topology import SOLID, Gates, gates_by_cluster
+from ..topology.cones import ball_meets, cone_through
 
 POINTS = 64  # of a geometry cluster at most
 LANES = 16  # VPLs of a block at most, bits of a mask
@@ -54,12 +55,14 @@ class GateTable(NamedTuple):
     """Gates of each visibility cluster.
 
     first: (clusters + 1,) int32; of: (2 G,) int32, the gates of a cluster.  gates: `Gates`.
+    sight: (clusters, clusters) bool, between which a straight line may pass at all.
     polygons: whether they are polygons.  These are what the openings are, so that light must pass one of the points' cluster, too.
     """
 
     first: np.ndarray
     of: np.ndarray
     gates: Gates
+    sight: np.ndarray
     polygons: bool
 
 
@@ -104,40 +107,10 @@ def lights_of(vpls: Vpls, cluster: np.ndarray) -> Lights:
     return Lights(table, blocks)
 
 
-def gate_table(gates: Gates, clusters: int, polygons: bool) -> GateTable:
-    """The gates listed for each of the clusters that they join."""
-    owner = gates.clusters.ravel()
-    order = np.argsort(owner, kind="stable")
-    first = np.zeros(clusters + 1, np.int32)
-    np.cumsum(np.bincount(owner, minlength=clusters), out=first[1:])
-    return GateTable(first, (order // 2).astype(np.int32), gates, polygons)
-
-
-@inlined
-def _cone(x, y, z, rho, cx, cy, cz, r):
-    """Apex, axis, cosine and sine of half the angle of the cone that holds all lines from the ball (x, rho) through the ball (c, r), beyond it.
-
-    The inner tangents of two balls meet between them, nearer to the smaller one.  A sine of 2 stands for the whole space.
-    """
-    dx, dy, dz = cx - x, cy - y, cz - z
-    d = np.sqrt(dx * dx + dy * dy + dz * dz)
-    if d <= rho + r:
-        return x, y, z, _1, _0, _0, _0, np.float32(2.0)
-    t = rho / (rho + r)
-    sine = (rho + r) / d
-    inverse = _1 / d
-    return x + t * dx, y + t * dy, z + t * dz, dx * inverse, dy * inverse, dz * inverse, np.sqrt(_1 - sine * sine), sine
-
-
-@inlined
-def _meets(ax, ay, az, ux, uy, uz, cosine, sine, sx, sy, sz, radius):
-    """Whether a ball meets a cone (Eberly, "Intersection of a Sphere and a Cone", without the cap at the apex)."""
-    if sine >= _1:
-        return True
-    dx, dy, dz = sx - ax, sy - ay, sz - az
-    along = dx * ux + dy * uy + dz * uz
-    across = np.sqrt(max(_0, dx * dx + dy * dy + dz * dz - along * along))
-    return across * cosine - along * sine <= radius and along > -radius
+def gate_table(gates: Gates, sight: np.ndarray, polygons: bool) -> GateTable:
+    """The gates listed for each of the clusters that they join; fields as in `GateTable`."""
+    first, of = gates_by_cluster(gates, len(sight))
+    return GateTable(first, of, gates, sight, polygons)
 
 
 @kernel
@@ -154,7 +127,7 @@ def cones_of(lights, table):
             continue
         for k in range(table.first[c], table.first[c + 1]):
             g = table.of[k]
-            cones[b, k - table.first[c]] = _cone(
+            cones[b, k - table.first[c]] = cone_through(
                 blocks.centre[b, 0], blocks.centre[b, 1], blocks.centre[b, 2], blocks.radius[b],
                 gates.centre[g, 0], gates.centre[g, 1], gates.centre[g, 2], gates.radius[g],
             )  # fmt: skip
@@ -172,10 +145,10 @@ def _lanes_through(lights, block, gates, g, sx, sy, sz, radius):
         nx, ny, nz = lights.table[3, j], lights.table[4, j], lights.table[5, j]
         if nx * (sx - x) + ny * (sy - y) + nz * (sz - z) < -radius:
             continue  # behind the light
-        ax, ay, az, ux, uy, uz, cosine, sine = _cone(
+        ax, ay, az, ux, uy, uz, cosine, sine = cone_through(
             x, y, z, _0, gates.centre[g, 0], gates.centre[g, 1], gates.centre[g, 2], gates.radius[g]
         )
-        if _meets(ax, ay, az, ux, uy, uz, cosine, sine, sx, sy, sz, radius):
+        if ball_meets(ax, ay, az, ux, uy, uz, cosine, sine, sx, sy, sz, radius):
             mask |= np.uint32(1) << np.uint32(lane)
     return mask
 
@@ -204,9 +177,11 @@ def _candidates(lights, table, cones, cluster, sx, sy, sz, radius, block, gate):
             block[n], gate[n] = b, NO_GATE
             n += 1
             continue
+        if not table.sight[c, cluster]:
+            continue
         for k in range(table.first[c], table.first[c + 1]):
             cone = cones[b, k - table.first[c]]
-            if _meets(cone[0], cone[1], cone[2], cone[3], cone[4], cone[5], cone[6], cone[7], sx, sy, sz, radius):
+            if ball_meets(cone[0], cone[1], cone[2], cone[3], cone[4], cone[5], cone[6], cone[7], sx, sy, sz, radius):
                 block[n], gate[n] = b, table.of[k]
                 n += 1
     return n
@@ -220,7 +195,7 @@ def _entrances(runs, r, table, cones):
         return 0
     for k in range(table.first[c], table.first[c + 1]):
         g = table.of[k]
-        cones[k - table.first[c]] = _cone(
+        cones[k - table.first[c]] = cone_through(
             runs.centre[r, 0], runs.centre[r, 1], runs.centre[r, 2], runs.radius[r],
             table.gates.centre[g, 0], table.gates.centre[g, 1], table.gates.centre[g, 2], table.gates.radius[g],
         )  # fmt: skip
@@ -247,7 +222,7 @@ def _list_block(runs, r, lights, table, block, gates, entrances, found_gate, fou
     blocks, leaving = lights.blocks, n
     for k in range(len(entrances)):
         cone = entrances[k]
-        if _meets(
+        if ball_meets(
             cone[0], cone[1], cone[2], cone[3], cone[4], cone[5], cone[6], cone[7],
             blocks.centre[block, 0], blocks.centre[block, 1], blocks.centre[block, 2], blocks.radius[block],
         ):  # fmt: skip

@@ -34,17 +34,27 @@ class VisibilityGates:
 
     topology: of the scene.  gates: `disks` as in the paper, `polygons` fitted to the openings, or `off`: light stays in its cluster; `guided`:
         shadow rays wherever the polygons leave it open whether a line is free.
+    oversize: factor on the gates' radii.  More than 1 lets in what disks are too small for, and more that is hidden.
     compensation: gather rays a point that give back the light taken by the clamp (0: none).
     seconds: of the stages of the last call of `irradiance`, by the paper's names.
     """
 
     def __init__(
-        self, topology: Topology, *, gates: str = "disks", compensation: int = 8, bounces: int = 4, seed: int = 0, threads: int = 0
+        self,
+        topology: Topology,
+        *,
+        gates: str = "disks",
+        oversize: float = 1.0,
+        compensation: int = 8,
+        bounces: int = 4,
+        seed: int = 0,
+        threads: int = 0,
     ):
         if gates not in GATES:
             raise ValueError(f"gates: expected one of {', '.join(GATES)}, got {gates!r}")
         self.topology = topology
         self.gates = gates
+        self.oversize = oversize
         self.compensation = compensation
         self.bounces = bounces
         self.seed = seed
@@ -62,7 +72,10 @@ class VisibilityGates:
         self.g_max = np.float32(clamp_of(vpls, points))
         clusters = self.topology.clusters_at(vpls.position, vpls.surface_normal)
         self.lights = gate_lists.lights_of(vpls, clusters)
-        self.table = gate_lists.gate_table(self._gates(), self.topology.clusters, self.gates in ("polygons", "guided"))
+        polygons = self.gates in ("polygons", "guided")
+        # The paper's disks light whatever lies in their cones; openings allow a stricter answer.
+        sight = self.topology.sight if polygons else np.ones_like(self.topology.sight)
+        self.table = gate_lists.gate_table(self._gates().scaled(self.oversize), sight, polygons)
 
     def _gates(self) -> Gates:
         if self.gates == "off":

@@ -1,7 +1,7 @@
 """Topology of the empty space: voxels, thinning, skeleton, visibility clusters, gates (visibility gates paper, 2014)."""
 
 from .build import RESOLUTION, Topology, blocking_triangles, build_topology
-from .gates import Gates
+from .gates import Gates, gates_by_cluster
 from .nearest import SOLID
 from .rooms import reachable_emitters, reachable_vpls, rooms_seen, without_emitters
 from .skeleton import Skeleton, skeleton_of
@@ -19,6 +19,7 @@ __all__ = [
     "Topology",
     "blocking_triangles",
     "build_topology",
+    "gates_by_cluster",
     "reachable_emitters",
     "reachable_vpls",
     "rooms_seen",

@@ -12,6 +12,7 @@ from .clusters import ALPHA, visibility_clusters
 from .gates import Gates, disk_gates, polygon_gates
 from .nearest import SOLID, look_up, nodes_of_voxels
 from .segmentation import Segmented, segment
+from .sight import sight_of
 from .skeleton import Skeleton, skeleton_of
 from .voxels import Grid, empty_voxels, voxelise
 
@@ -24,7 +25,7 @@ class Topology:
 
     node_of: (Z, Y, X) int32, the segmented node of each voxel; SOLID where a surface is.
     cluster: (K,) int32, its visibility cluster.  room: (K,) int32, its connected piece of the empty space.
-    disks, polygons: the gates.  seconds: what each step took.
+    disks, polygons: the gates.  sight: (clusters, clusters) bool, between which a straight line may pass.  seconds: what each step took.
     """
 
     grid: Grid
@@ -35,6 +36,7 @@ class Topology:
     room: np.ndarray
     disks: Gates
     polygons: Gates
+    sight: np.ndarray
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -110,9 +112,12 @@ def build_topology(
     clock.lap("voxel map")
     room = skeleton.component[segmented.node]
     disks = disk_gates(grid, skeleton, segmented, cluster)
-    polygons = polygon_gates(grid, _at(cluster, node_of))
+    cluster_of = _at(cluster, node_of)
+    polygons = polygon_gates(grid, cluster_of)
     clock.lap("gates")
-    return Topology(grid, skeleton, segmented, node_of, cluster, room, disks, polygons, clock.seconds)
+    sight = sight_of(grid, cluster_of, int(cluster.max(initial=-1)) + 1, polygons)
+    clock.lap("sight")
+    return Topology(grid, skeleton, segmented, node_of, cluster, room, disks, polygons, sight, clock.seconds)
 
 
 class _Clock:

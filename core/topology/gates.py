@@ -38,6 +38,11 @@ class Gates(NamedTuple):
     extent: np.ndarray
     raster: np.ndarray
 
+    def scaled(self, factor: float) -> Gates:
+        """Gates of `factor` times the size, about their centres."""
+        factor = np.float32(factor)
+        return self._replace(radius=self.radius * factor, extent=self.extent * factor)
+
     def outlines(self) -> np.ndarray:
         """(G, SIDES, 3) corners of the polygons (m): where neighbouring half-planes meet."""
         following = np.roll(self.extent, -1, axis=1)
@@ -55,17 +60,26 @@ def frames_about(normal: np.ndarray) -> np.ndarray:
     return np.stack([u, np.cross(normal, u), normal], axis=1).astype(np.float32)
 
 
-def disk_gates(grid: Grid, skeleton: Skeleton, segmented: Segmented, cluster: np.ndarray, scale: float = 1.0) -> Gates:
-    """A disk in the middle of each edge between two clusters, across it, of the smaller ball's radius times `scale`."""
+def disk_gates(grid: Grid, skeleton: Skeleton, segmented: Segmented, cluster: np.ndarray) -> Gates:
+    """A disk in the middle of each edge between two clusters, across it, of the smaller ball's radius."""
     edges = segmented.edges[cluster[segmented.edges[:, 0]] != cluster[segmented.edges[:, 1]]]
     a, b = (grid.position_of(skeleton.place[segmented.node[edges[:, k]]]) for k in (0, 1))
     along = b - a
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    radius = (scale * grid.size * skeleton.radius[segmented.node[edges]].min(axis=1)).astype(np.float32)
+    radius = (grid.size * skeleton.radius[segmented.node[edges]].min(axis=1)).astype(np.float32)
     extent = np.repeat(radius[:, None], SIDES, axis=1)
     return Gates(
         cluster[edges].astype(np.int32), ((a + b) / 2).astype(np.float32), frames_about(along), radius, extent, _all_open(len(radius))
     )
+
+
+def gates_by_cluster(gates: Gates, clusters: int) -> tuple[np.ndarray, np.ndarray]:
+    """The gates of each cluster: first (clusters + 1,) int32, and (2 G,) int32 gates, cluster by cluster."""
+    owner = gates.clusters.ravel()
+    order = np.argsort(owner, kind="stable")
+    first = np.zeros(clusters + 1, np.int32)
+    np.cumsum(np.bincount(owner, minlength=clusters), out=first[1:])
+    return first, (order // 2).astype(np.int32)
 
 
 def _all_open(count: int) -> np.ndarray:
@@ -128,10 +142,10 @@ def _connected(pairs: np.ndarray, places: np.ndarray, signs: np.ndarray, shape) 
     return csgraph.connected_components(links, directed=False)[1]
 
 
-def polygon_gates(grid: Grid, cluster: np.ndarray, scale: float = 1.0) -> Gates:
+def polygon_gates(grid: Grid, cluster: np.ndarray) -> Gates:
     """A convex polygon round each opening between two clusters, in the plane through its middle across its mean normal.
 
-    cluster: (Z, Y, X) int32 of each voxel, negative in solid ones.  scale: of the polygons.
+    cluster: (Z, Y, X) int32 of each voxel, negative in solid ones.
     """
     pairs, places, signs = _openings(cluster)
     if not len(pairs):
@@ -154,13 +168,13 @@ def polygon_gates(grid: Grid, cluster: np.ndarray, scale: float = 1.0) -> Gates:
     away = metres - centre[which]
     u = np.einsum("fc,fdc->fd", away, frame[which, :2])
     reach = u @ DIRECTIONS.T.astype(np.float64) + 0.5 * grid.size
-    extent = scale * np.maximum.reduceat(reach, start)
+    extent = np.maximum.reduceat(reach, start)
     # Cells are a quarter of a voxel at least: the raster, not the polygon, shows what is smaller.
     extent = np.maximum(extent, CELLS / 8 * grid.size).astype(np.float32)
     # What a face's square casts on u and v: its sides lie along the other two axes.
     sides = 1 - np.eye(3)[np.abs(signs) - 1]
     half = 0.45 * grid.size * np.einsum("fc,fdc->fd", sides, np.abs(frame[which, :2]))
-    raster = _rasters(extent / scale, which, u, half)
+    raster = _rasters(extent, which, u, half)
     gates = Gates(pairs[start].astype(np.int32), centre.astype(np.float32), frame, np.zeros(len(start), np.float32), extent, raster)
     radius = np.linalg.norm(gates.outlines() - gates.centre[:, None], axis=2).max(axis=1)
     return gates._replace(radius=radius.astype(np.float32))

@@ -22,6 +22,16 @@ def _root(parent, i):
 
 
 @kernel
+def _united(parent, found, label):
+    """The lower root of two labels, to which the other one now points; `found` may be -1."""
+    other = _root(parent, label)
+    if found < 0:
+        return other
+    parent[max(found, other)] = min(found, other)
+    return min(found, other)
+
+
+@kernel
 def _regions(yz, xz, xy, label, parent):
     """Label the voxels that no face keeps apart, and what lies around them; the labels' number.
 
@@ -34,27 +44,16 @@ def _regions(yz, xz, xy, label, parent):
         for j in range(height):
             for i in range(width):
                 found = -1
-                inner_x, inner_y, inner_z = 1 <= i < width - 1, 1 <= j < height - 1, 1 <= k < depth - 1
-                # The face between a voxel and the one before it has the voxel's own place.
-                if i > 0 and not (inner_y and inner_z and yz[k - 1, j - 1, i - 1]):
-                    found = _root(parent, label[k, j, i - 1])
-                if j > 0 and not (inner_x and inner_z and xz[k - 1, j - 1, i - 1]):
-                    other = _root(parent, label[k, j - 1, i])
-                    if found >= 0:
-                        parent[max(found, other)] = min(found, other)
-                        found = min(found, other)
-                    else:
-                        found = other
-                if k > 0 and not (inner_x and inner_y and xy[k - 1, j - 1, i - 1]):
-                    other = _root(parent, label[k - 1, j, i])
-                    if found >= 0:
-                        parent[max(found, other)] = min(found, other)
-                        found = min(found, other)
-                    else:
-                        found = other
+                x, y, z = 1 <= i < width - 1, 1 <= j < height - 1, 1 <= k < depth - 1
+                # The face between a voxel and the one before it has the voxel's own place; outside the volume there are none.
+                if i > 0 and not (y and z and yz[k - 1, j - 1, i - 1]):
+                    found = _united(parent, found, label[k, j, i - 1])
+                if j > 0 and not (x and z and xz[k - 1, j - 1, i - 1]):
+                    found = _united(parent, found, label[k, j - 1, i])
+                if k > 0 and not (x and y and xy[k - 1, j - 1, i - 1]):
+                    found = _united(parent, found, label[k - 1, j, i])
                 if found < 0:
-                    found = count
-                    parent[count] = count
+                    found = parent[count] = count
                     count += 1
                 label[k, j, i] = found
     return count

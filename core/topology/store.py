@@ -15,7 +15,7 @@ from .segmentation import Segmented
 from .skeleton import Skeleton
 from .voxels import Grid
 
-VERSION = 2  # of what is built from the same triangles
+VERSION = 3  # of what is built from the same triangles
 _PARTS = {"grid": Grid, "skeleton": Skeleton, "segmented": Segmented, "disks": Gates, "polygons": Gates}
 
 
@@ -80,7 +80,7 @@ def from_arrays(arrays: dict[str, np.ndarray]) -> Topology:
         values = {field: arrays[f"{name}.{field}"] for field in _names(kind)}
         parts[name] = kind(**{field: value.item() if value.ndim == 0 else value for field, value in values.items()})
     parts["grid"] = Grid(parts["grid"].low, parts["grid"].size, tuple(int(n) for n in parts["grid"].shape))
-    return Topology(**parts, **{name: arrays[name] for name in ("node_of", "cluster", "room")})
+    return Topology(**parts, **{name: arrays[name] for name in ("node_of", "cluster", "room", "sight")})
 
 
 def _names(kind) -> tuple[str, ...]:

@@ -88,6 +88,20 @@ def test_the_door_lies_between_clusters(two_rooms):
         assert at_door.any()
 
 
+def test_sight_errs_towards_sight(two_rooms):
+    # Pairs of empty voxels whose line meets no solid voxel must be in sight of each other.
+    assert np.array_equal(two_rooms.sight, two_rooms.sight.T) and two_rooms.sight.diagonal().all()
+    empty = np.argwhere(two_rooms.node_of >= 0)
+    rng = np.random.default_rng(0)
+    seen = 0
+    for a, b in empty[rng.integers(0, len(empty), (600, 2))]:
+        way = np.round(a + np.linspace(0, 1, 400)[:, None] * (b - a)).astype(int)
+        if (two_rooms.node_of[tuple(way.T)] >= 0).all():
+            assert two_rooms.sight[two_rooms.cluster[two_rooms.node_of[tuple(a)]], two_rooms.cluster[two_rooms.node_of[tuple(b)]]]
+            seen += 1
+    assert seen > 100
+
+
 def test_clusters_are_connected_and_complete(two_rooms):
     assert (two_rooms.cluster >= 0).all()
     assert np.array_equal(np.unique(two_rooms.cluster), np.arange(two_rooms.clusters))

@@ -128,7 +128,7 @@ def test_lists_hold_all_that_single_lines_find(rooms):
     _, topology, points, vpls, _ = rooms
     gates = topology.disks
     lights = gate_lists.lights_of(vpls, topology.clusters_at(vpls.position, vpls.surface_normal))
-    table = gate_lists.gate_table(gates, topology.clusters, polygons=False)
+    table = gate_lists.gate_table(gates, np.ones_like(topology.sight), polygons=False)
     runs = gate_lists.runs_of(points.position, points.ng, topology.clusters_at(points.position, points.ng), gate_lists.POINTS)
     lists = gate_lists.joined([gate_lists.assign(runs, 0, len(runs.cluster), lights, table, gate_lists.cones_of(lights, table))])
     found = 0
@@ -199,6 +199,10 @@ def test_the_debug_layers_number_the_clusters(build):
     for name in ("VisibilityClusters", "GeometryClusters"):
         assert layers[name].shape == (24, 24, 1) and layers[name].min() >= 1
     assert len(np.unique(layers["GeometryClusters"])) >= len(np.unique(layers["VisibilityClusters"]))
+
+
+def test_oversized_disks_let_more_light_in(rooms):
+    assert _solve(rooms, "disks", oversize=1.5)[1].sum() > 1.02 * _solve(rooms, "disks")[1].sum()
 
 
 def test_unknown_gates_are_refused(rooms):
