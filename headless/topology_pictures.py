@@ -36,7 +36,7 @@ def over_lines(image: np.ndarray, layers: Layers, scene: Scene, topology: Topolo
     place = topology.grid.position_of(topology.skeleton.place)
     eye = scene.camera.matrix[:3, 3]
     seen = np.linalg.norm(layers["Position"] - scene.origin - eye, axis=2)
-    seen[layers["Depth"] > 1e9] = np.inf
+    seen[layers["Depth"][..., 0] > 1e9] = np.inf
     _segments(image, seen, scene.camera, place[topology.skeleton.arcs], _ARC)
     rims = topology.disks.outlines().astype(np.float64)
     _segments(image, seen, scene.camera, np.stack([rims, np.roll(rims, -1, axis=1)], axis=2).reshape(-1, 2, 3), _GATE)

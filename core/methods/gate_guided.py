@@ -1,7 +1,8 @@
 """Gate-guided visibility: the topology answers where it is certain, shadow rays decide the rest.
 
 Beyond the visibility gates paper.  A block of VPLs and a geometry cluster are certain where the topology has a clear answer, one quasi-convex
-cluster, or no line that passes the gates, and a few rays between them, well spread, all agree with it.
+cluster, or no line that passes the gates, and a few rays between them, well spread, all agree with it.  Where it has none, twice as many
+rays that agree with each other are as good.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from ..surfaces.visibility import shadow_packet
 from .gate_lists import LANES, NO_GATE, POINTS
 from .gate_shading import gathered, light_block, scatter, see
 
-OPEN, DARK, UNCERTAIN = 0, 1, 2
-PROBES = 16  # rays that must agree with the topology; one packet
+OPEN, DARK, UNCERTAIN, NOTHING = 0, 1, 2, 3
+PROBES = WIDTH  # rays of a round, one packet
+AGREEING, ALONE = 2, 4  # rounds that must agree where the topology says the same, and where it does not
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -54,7 +56,7 @@ def _trace(scene, packet, rows, surface, count, cutouts, through):
 
 
 @kernel
-def _probe(points, runs, r, lights, block, vpls, packet, seed, pairs):
+def _probe(points, runs, r, lights, block, vpls, packet, seed, round_, pairs):
     """Set shadow rays between random pairs of a geometry cluster and a block that face each other; their number, at most PROBES.
 
     pairs: (PROBES, 2) int64, takes the places of the point in its cluster and of the VPL in its block.
@@ -65,14 +67,28 @@ def _probe(points, runs, r, lights, block, vpls, packet, seed, pairs):
     rays = 0
     for k in range(PROBES):
         # Points in order, lights in any: each probe stands for other pairs than the rest.
-        i = min(size - 1, np.int64((np.float32(k) + uniform(seed, r, block, 2 * k)) / np.float32(PROBES) * np.float32(size)))
-        lane = min(light_size - 1, np.int64(uniform(seed, r, block, 2 * k + 1) * np.float32(light_size)))
+        i = min(
+            size - 1, np.int64((np.float32(k) + uniform(seed, r, block, 2 * (round_ * PROBES + k))) / np.float32(PROBES) * np.float32(size))
+        )
+        lane = min(light_size - 1, np.int64(uniform(seed, r, block, 2 * (round_ * PROBES + k) + 1) * np.float32(light_size)))
         p = runs.order[first + i]
         if _facing(points, p, table, block * LANES + lane):
             _set_shadow_ray(packet, rays, points, p, vpls, blocks.order[light_first + lane])
             pairs[rays, 0], pairs[rays, 1] = i, lane
             rays += 1
     return rays
+
+
+@kernel
+def _united(through, count, answer):
+    """What `count` traced rays say, if all of them say one thing, and that what `answer` was."""
+    for lane in range(count):
+        least, most = min(through[lane, 0], through[lane, 1], through[lane, 2]), max(through[lane, 0], through[lane, 1], through[lane, 2])
+        said = OPEN if least == _1 else (DARK if most == _0 else UNCERTAIN)
+        if said == UNCERTAIN or (answer != NOTHING and said != answer):
+            return UNCERTAIN
+        answer = said
+    return answer
 
 
 @kernel
@@ -140,17 +156,20 @@ def shade_guided(scene, vpls, points, runs, begin, end, lights, lists, gate_tabl
             upto = at
             while upto < lists.first[r + 1] and lists.block[upto] == block:
                 upto += 1
-            rays = _probe(points, runs, r, lights, block, vpls, packet, seed, probed)
-            answer = _answer(lights, lists, at, upto, gate_table, local, n, probed, rays, visible[0], entered, scratch)
+            topology, answer = UNCERTAIN, NOTHING
+            for round_ in range(ALONE):
+                rays = _probe(points, runs, r, lights, block, vpls, packet, seed, round_, probed)
+                if round_ == 0:
+                    topology = _answer(lights, lists, at, upto, gate_table, local, n, probed, rays, visible[0], entered, scratch)
+                if rays:
+                    _trace(scene, packet, rows, surface, rays, cutouts, through)
+                    probes += rays
+                    answer = _united(through, rays, answer)
+                if answer == UNCERTAIN or (answer == topology and round_ + 1 == AGREEING):
+                    break
             at = upto
-            if answer != UNCERTAIN and rays:
-                _trace(scene, packet, rows, surface, rays, cutouts, through)
-                probes += rays
-                expected = _1 if answer == OPEN else _0
-                for lane in range(rays):
-                    if through[lane, 0] != expected or through[lane, 1] != expected or through[lane, 2] != expected:
-                        answer = UNCERTAIN
-            if answer == UNCERTAIN:
+            if answer == UNCERTAIN or answer == NOTHING:
+                # Where no pair tried faces each other, there are few to trace.
                 visible[:] = _0
                 traced += _see_all(scene, points, runs, r, lights, block, vpls, packet, rows, surface, cutouts, through, visible)
             else:
