@@ -53,7 +53,7 @@ class RenderSettings:
 
     # visibility gates; voxels: along the scene's longest side
     voxels: int = 128
-    gates: str = "disks"  # disks | polygons | off | guided
+    gates: str = "guided"  # disks | polygons | off | guided
 
     # importance sampling; gather: of the compensation, too
     samples: int = 8

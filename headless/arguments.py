@@ -178,7 +178,7 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
             "gates",
             {
                 "choices": ("disks", "polygons", "off", "guided"),
-                "help": "between visibility clusters; guided: shadow rays where the topology is not certain (default: disks)",
+                "help": "between visibility clusters; guided: shadow rays where the topology is not certain (default: guided)",
             },
         ),
     ),
