@@ -170,6 +170,8 @@ def _pass(run: _Run, scene: Scene, tables: Transport, settings: RenderSettings, 
         seen = view(scene, tables.rays, world_tables(scene.world), settings.pixel_samples, settings.seed, threads, tick)
         run.rays["primary"] += seen.rays
     points = seen.points
+    if run.topology is not None:
+        tables = _within_reach(run, tables, points)
     nothing = np.zeros((len(points.pixel), 3), np.float32)
     behind_glass = bool(points.behind_glass.any())
     sampler = _sampler(run, tables, points, settings, threads)
@@ -266,8 +268,8 @@ def _indirect(
         if sampler:
             vpls, counts = sampler.prepare(tables, points, settings.vpls, tick)
         else:
-            reached, wanted = (tables, None) if run.topology is None else _within_reach(run, tables, points)
-            vpls, counts = vpl_pool(reached, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick, share=wanted)
+            wanted = run.topology and partial(reachable_vpls, run.topology, rooms_seen(run.topology, points))
+            vpls, counts = vpl_pool(tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick, share=wanted)
         run.rays["light"] += counts["light"]
         run.rays["shadow"] += counts["shadow"]
         if counts["useless"]:
@@ -316,14 +318,13 @@ def _indirect(
     return irradiance, vpls
 
 
-def _within_reach(run: _Run, tables: Transport, points: ShadingPoints) -> tuple[Transport, Callable[[Vpls], np.ndarray]]:
-    """The tables without the emission of what lies in rooms that no path joins to those that are seen, and which VPLs do not (M,)."""
-    seen = rooms_seen(run.topology, points)
-    kept = reachable_emitters(run.topology, seen, tables.emitters)
-    if not kept.all():
-        run.skip("lamps", f"{np.count_nonzero(~kept)} lamps and shining triangles are in rooms with no way to what is seen")
-        tables = tables._replace(emitters=without_emitters(tables.emitters, kept))
-    return tables, partial(reachable_vpls, run.topology, seen)
+def _within_reach(run: _Run, tables: Transport, points: ShadingPoints) -> Transport:
+    """The tables without the light of what lies in rooms that no path joins to those that are seen."""
+    kept = reachable_emitters(run.topology, rooms_seen(run.topology, points), tables.emitters)
+    if kept.all():
+        return tables
+    run.skip("lamps", f"{np.count_nonzero(~kept)} lamps and shining triangles are in rooms with no way to what is seen")
+    return tables._replace(emitters=without_emitters(tables.emitters, kept))
 
 
 def single_lights(tables: Transport, vpls: Vpls, points: ShadingPoints, shape: tuple[int, int], threads: int) -> dict[str, np.ndarray]:

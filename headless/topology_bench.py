@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.lamps import direct_irradiance
+from ..core.lamps import direct_irradiance, world_tables
 from ..core.layers import auto_exposure, srgb
 from ..core.methods.instant_radiosity import InstantRadiosity
 from ..core.methods.visibility_gates import VisibilityGates
@@ -29,6 +29,7 @@ from ..core.topology.cells import closure
 from ..core.topology.distance import distance_map, opening_map
 from ..core.topology.thinning import Thinning
 from ..core.topology.voxels import Grid, empty_voxels, voxelise
+from ..core.view.primary import view
 from .fuzzy_bench import LitView, brute_force, lit_view
 from .sources import extract, find_scene, open_source
 from .topology_pictures import draw, plot_thinning
@@ -192,11 +193,14 @@ def stage_rows(scene: Scene, topology: Topology, vpls: tuple[int, ...]) -> list[
     for count in vpls:
         with lit_view(scene, count) as lit:
             seconds = brute_force(lit).seconds
+            begin = time.perf_counter()
+            view(scene, lit.tables.rays, world_tables(scene.world), 1, 0)
+            gp = {"GP": time.perf_counter() - begin}
             for gates in ("disks", "polygons"):
                 solver, _, own = _gates(lit, topology, gates)
                 label = f"{len(lit.vpls.bounce)} of {count} VPLs, {gates}"
-                paper = dict(zip(("IUGC", "LA", "IL"), PAPER_STAGES.get(count, (None,) * 4)[1:]))
-                for stage, value in solver.seconds.items():
+                paper = dict(zip(("GP", "IUGC", "LA", "IL"), PAPER_STAGES.get(count, (None,) * 4)))
+                for stage, value in (gp | solver.seconds).items():
                     rows.append(_row(f"{label}: {stage}", 1000 * value, "ms", paper.get(stage)))
                 rows.append(_row(f"{label}: all stages beside shadow rays", own, "CPU s", seconds))
     return rows

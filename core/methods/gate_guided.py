@@ -29,7 +29,7 @@ _1 = np.float32(1.0)
 
 @inlined
 def _facing(points, p, table, j):
-    """Whether a point and a VPL face each other, and the VPL shines at all."""
+    """Whether a point and a VPL face each other."""
     dx, dy, dz = table[0, j] - points.position[p, 0], table[1, j] - points.position[p, 1], table[2, j] - points.position[p, 2]
     at_point = dx * points.ns[p, 0] + dy * points.ns[p, 1] + dz * points.ns[p, 2]
     above = dx * points.ng[p, 0] + dy * points.ng[p, 1] + dz * points.ng[p, 2]
@@ -159,12 +159,12 @@ def shade_guided(scene, vpls, points, runs, begin, end, lights, lists, gate_tabl
             topology, answer = UNCERTAIN, NOTHING
             for round_ in range(ALONE):
                 rays = _probe(points, runs, r, lights, block, vpls, packet, seed, round_, probed)
-                if round_ == 0:
-                    topology = _answer(lights, lists, at, upto, gate_table, local, n, probed, rays, visible[0], entered, scratch)
                 if rays:
                     _trace(scene, packet, rows, surface, rays, cutouts, through)
                     probes += rays
                     answer = _united(through, rays, answer)
+                if round_ == 0 and answer != UNCERTAIN:
+                    topology = _answer(lights, lists, at, upto, gate_table, local, n, probed, rays, visible[0], entered, scratch)
                 if answer == UNCERTAIN or (answer == topology and round_ + 1 == AGREEING):
                     break
             at = upto

@@ -69,6 +69,7 @@ def reachable_emitters(topology: Topology, seen: np.ndarray, emitters: Emitters)
 
 
 def without_emitters(emitters: Emitters, kept: np.ndarray) -> Emitters:
-    """Emitters of which only those `kept` (E,) emit particles; direct light is as it was."""
+    """Emitters of which only those `kept` (E,) emit particles; direct light leaves out the others that it samples one by one."""
     flux = emitters.flux * kept[:, None]
-    return emitters._replace(flux=flux, emission_cdf=cumulative(flux.mean(axis=1), np.float64) if len(flux) else emitters.emission_cdf)
+    groups = emitters.groups[(emitters.groups < 0) | kept[emitters.groups]]
+    return emitters._replace(flux=flux, emission_cdf=cumulative(flux.mean(axis=1), np.float64), groups=groups)
