@@ -45,6 +45,7 @@ STAND_IN = "atrium"  # where Sponza is not there
 VOXELS = 256
 ERROR_VPLS = 1024
 OVERSIZE = 1.5
+PICTURE, PICTURE_VOXELS = (400, 225), 128
 
 
 def topology_rows(
@@ -70,7 +71,7 @@ def topology_rows(
             rows += guided_rows(name, scene, known.of(scene, voxels), ERROR_VPLS)
     rows += house_rows(rooms, error_size)
     plot_thinning(folder / "topology-thinning.png", rows)
-    draw(_extract(STAND_IN, (480, 270)), folder / "topology-atrium.png", voxels, known)
+    draw(_extract(STAND_IN, PICTURE), folder / "topology-atrium.png", PICTURE_VOXELS, known)
     return rows
 
 

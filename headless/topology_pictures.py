@@ -21,7 +21,7 @@ _BEHIND = 0.05  # m, that a line may lie behind the surface that is seen
 def draw(scene: Scene, path: Path, voxels: int, known: Topologies) -> None:
     """Write a PNG of two halves: the picture with the skeleton and the gates' outlines; the visibility clusters."""
     settings = RenderSettings(
-        method="visibility-gates", gates="guided", voxels=voxels, vpls=1024, pixel_samples=4, debug_layers=True, direct_samples=4
+        method="visibility-gates", gates="guided", voxels=voxels, vpls=1024, pixel_samples=4, debug_layers=True, denoise=True
     )
     layers = render(scene, settings, topologies=known).layers
     topology = known.of(scene, voxels)
