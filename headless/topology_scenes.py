@@ -35,13 +35,13 @@ class Outlook:
         return replace(seen, lamps=point_lamp(self.lamp, 500.0), world=World(np.zeros((1, 1, 3), np.float32)))
 
 
-# Sponza's court lies along x, its aisles beyond y = +-3.7; the floor is at z = -4.07 of the arrays.
-_COURT, _AISLE = ((-5.9, 0.0, -2.87), (0.0, 0.0, -2.2)), ((-6.0, -5.2, -2.6), (2.0, -4.6, -2.6))
+# Sponza's court lies along x, its aisles between |y| = 1.5 and 3.5; the floor is at z = -4.07 of the arrays.
+_COURT, _AISLE = ((-5.9, 0.0, -2.87), (0.0, 0.0, -2.2)), ((-6.0, -2.6, -2.8), (2.0, -2.2, -2.6))
 SPONZA = (
     Outlook("court, sun and sky", *_COURT),
-    Outlook("court, lamp in an aisle (mostly indirect)", *_COURT, (1.0, 5.3, -2.6)),
+    Outlook("court, lamp in an aisle (mostly indirect)", *_COURT, (1.0, 2.7, -2.6)),
     Outlook("aisle, sun and sky", *_AISLE),
-    Outlook("aisle, lamp in the court (mostly indirect)", *_AISLE, (2.0, 1.5, -2.6)),
+    Outlook("aisle, lamp in the court (mostly indirect)", *_AISLE, (2.0, 0.3, -2.6)),
 )
 
 
