@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from .methods.importance_sampling import ImportanceSampling
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
 from .methods.virtual_area_lights import VirtualAreaLights
+from .methods.visibility_gates import VisibilityGates
 from .particles import Vpls
 from .passes import WORTH, Passes
 from .picture import Picture, splat
@@ -29,6 +31,7 @@ from .rays import RayScene
 from .scene import AREA, POINT, SPOT, TRANSPARENT, Scene, Skipped
 from .settings import RenderSettings
 from .threads import Cancelled, thread_count
+from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, reachable_vpls, rooms_seen, without_emitters
 from .transport import Transport, transport
 from .view.points import ShadingPoints
 from .view.primary import view
@@ -37,7 +40,7 @@ from .vpl_pool import vpl_pool, vpl_sequence
 # progress(stage, fraction) -> True to go on, False to cancel.
 StageProgress = Callable[[str, float], bool]
 
-AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "virtual-area-lights", "importance-sampling")
+AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "virtual-area-lights", "visibility-gates", "importance-sampling")
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
 
 
@@ -60,7 +63,8 @@ class Run:
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     vpls: int = 0
-    clusters: FuzzyClustering | VirtualAreaLights | None = None  # whose clusters the debug layers show
+    clusters: FuzzyClustering | VirtualAreaLights | VisibilityGates | None = None  # whose clusters the debug layers show
+    topology: Topology | None = None
     debug: dict[str, np.ndarray] = field(default_factory=dict)
 
     def skip(self, stage: str, why: str) -> None:
@@ -82,9 +86,16 @@ class Run:
 
 
 def render(
-    scene: Scene, settings: RenderSettings, progress: StageProgress | None = None, *, extraction_seconds: float = 0.0
+    scene: Scene,
+    settings: RenderSettings,
+    progress: StageProgress | None = None,
+    *,
+    extraction_seconds: float = 0.0,
+    topologies: Topologies = IN_MEMORY,
 ) -> RenderResult:
     """Compute the layers that `settings` ask for, in as many passes as its time budget or target error need.
+
+    topologies: where the method that needs one finds the scene's.
 
     Raises:
         SceneError: the scene cannot be rendered with these settings.
@@ -94,7 +105,7 @@ def render(
     begin = time.perf_counter()
     denoiser = Denoiser() if settings.denoise else None
     try:
-        return _render(scene, settings, denoiser, progress, extraction_seconds, begin)
+        return _render(scene, settings, denoiser, progress, extraction_seconds, begin, topologies)
     finally:  # a cancelled render must not leave the library's threads behind
         if denoiser:
             denoiser.close()
@@ -107,6 +118,7 @@ def _render(
     progress: StageProgress | None,
     extraction_seconds: float,
     begin: float,
+    topologies: Topologies,
 ) -> RenderResult:
     """The same with nothing left open in `settings`, and the denoiser that they want; begin: when the clock started."""
     method = method_of(settings)
@@ -119,7 +131,7 @@ def _render(
 
     if denoiser and denoiser.warning:
         run.warnings.append(denoiser.warning)
-    with prepared(run, scene) as tables:
+    with prepared(run, scene, settings, threads, topologies) as tables:
         camera = scene.camera
         pixels = (camera.border[2] - camera.border[0]) * (camera.border[3] - camera.border[1])
         passes = Passes(settings.time_budget, settings.target_error, pixels, threads)
@@ -158,8 +170,8 @@ def _render(
 
 
 @contextmanager
-def prepared(run: Run, scene: Scene) -> Iterator[Transport]:
-    """The tables of a scene, whose rays can be traced inside the block; remarks on the scene go into `run`."""
+def prepared(run: Run, scene: Scene, settings: RenderSettings, threads: int, topologies: Topologies = IN_MEMORY) -> Iterator[Transport]:
+    """The tables of a scene, whose rays can be traced inside the block; remarks on it, and its topology, go into `run`."""
     with run.stage("rays"):
         geometry = scene.geometry
         transparent = (scene.materials.tables.flags[geometry.material] & TRANSPARENT) != 0
@@ -171,6 +183,9 @@ def prepared(run: Run, scene: Scene) -> Iterator[Transport]:
             run.skipped = [*scene.skipped, *skipped]
             run.warnings += [*scene.warnings, *warnings]
             tables = transport(geometry, scene.materials.tables, ray_scene.tables, emitters)
+        if settings.method == "visibility-gates":
+            with run.stage("topology"):
+                run.topology = topologies.of(scene, settings.voxels, threads)
         yield tables
 
 
@@ -197,6 +212,8 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
         seen = view(scene, tables.rays, world_tables(scene.world), settings.pixel_samples, settings.seed, threads, tick)
         run.rays["primary"] += seen.rays
     points = seen.points
+    if run.topology is not None:
+        tables = _within_reach(run, tables, points)
     nothing = np.zeros((len(points.pixel), 3), np.float32)
     behind_glass = bool(points.behind_glass.any())
     sampler = _sampler(run, tables, points, settings, threads)
@@ -307,7 +324,8 @@ def _indirect(
         elif settings.method == "virtual-area-lights":
             vpls, counts = vpl_sequence(tables, points, settings.vpls, settings.bounces, settings.seed, threads)
         else:
-            vpls, counts = vpl_pool(tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick)
+            wanted = run.topology and partial(reachable_vpls, run.topology, rooms_seen(run.topology, points))
+            vpls, counts = vpl_pool(tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick, share=wanted)
         run.rays["light"] += counts["light"]
         run.rays["shadow"] += counts["shadow"]
         if counts["useless"]:
@@ -343,6 +361,15 @@ def _indirect(
                 seed=settings.seed,
                 threads=threads,
             )
+        elif run.topology is not None:
+            solver = run.clusters = VisibilityGates(
+                run.topology,
+                gates=settings.gates,
+                compensation=settings.gather if settings.compensation else 0,
+                bounces=settings.bounces,
+                seed=settings.seed,
+                threads=threads,
+            )
         elif settings.visibility == "shadow-maps":
             solver = ShadowMappedRadiosity(seed=settings.seed, threads=threads)
         else:
@@ -355,6 +382,15 @@ def _indirect(
         run.rays["shadow"] += solver.rays
         run.pairs += solver.pairs
     return irradiance, vpls
+
+
+def _within_reach(run: Run, tables: Transport, points: ShadingPoints) -> Transport:
+    """The tables without the light of what lies in rooms that no path joins to those that are seen."""
+    kept = reachable_emitters(run.topology, rooms_seen(run.topology, points), tables.emitters)
+    if kept.all():
+        return tables
+    run.skip("lamps", f"{np.count_nonzero(~kept)} lamps and shining triangles are in rooms with no way to what is seen")
+    return tables._replace(emitters=without_emitters(tables.emitters, kept))
 
 
 def single_lights(tables: Transport, vpls: Vpls, points: ShadingPoints, shape: tuple[int, int], threads: int) -> dict[str, np.ndarray]:

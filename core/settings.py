@@ -67,6 +67,7 @@ METHOD_CHOICES = (
         "Virtual Area Lights",
         "Soft shadow maps of a few clusters of lights: for scenes that change, nothing is precomputed",
     ),
+    Choice("visibility-gates", "Visibility Gates", "The topology of the rooms tells what is seen, shadow rays the rest"),
     Choice(
         "instant-radiosity",
         "Instant Radiosity",
@@ -166,6 +167,21 @@ class RenderSettings:
     )
     soft_shadows: bool = option(
         False, "Soft Shadow Maps", "Direct light of area lamps by convolution soft shadow maps", method="virtual-area-lights"
+    )
+
+    # visibility gates
+    voxels: int = option(128, "Voxels", "Along the scene's longest side", least=8, most=1024, usual=512, method="visibility-gates")
+    gates: str = option(
+        "guided",
+        "Gates",
+        "What is seen between visibility clusters",
+        choices=(
+            Choice("guided", "Guided", "Shadow rays where the topology is not certain"),
+            Choice("polygons", "Polygons", "Through the openings' outlines"),
+            Choice("disks", "Disks", "Through disks, as in the paper"),
+            Choice("off", "Off", "Within each cluster, everything; beyond it, nothing"),
+        ),
+        method="visibility-gates",
     )
 
     # importance sampling; gather: of the compensation, too

@@ -19,7 +19,7 @@ from .outputs import OutputError, check_file, check_folder
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 LAST_FRAME = 1_048_574  # Blender's MAXFRAME
-SUITES = ("kernels", "clustering", "fuzzy", "vals", "previews", "curves", "lightmaps")  # of `bench`
+SUITES = ("kernels", "clustering", "fuzzy", "vals", "topology", "previews", "curves", "lightmaps")  # of `bench`
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
 
 
@@ -160,6 +160,17 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
             {"action": "store_const", "const": True, "help": "direct shadows of area lamps by soft shadow maps, too: no noise, less exact"},
         ),
     ),
+    "visibility-gates": (
+        OwnOption("--voxels", "voxels", {"type": count, "metavar": "R", "help": "voxels along the scene's longest side (default: 128)"}),
+        OwnOption(
+            "--gates",
+            "gates",
+            {
+                "choices": ("disks", "polygons", "off", "guided"),
+                "help": "between visibility clusters; guided: shadow rays where the topology is not certain (default: guided)",
+            },
+        ),
+    ),
     "importance-sampling": (
         OwnOption("--samples", "samples", {"type": count, "metavar": "N", "help": "shadow rays a shading point (default: 8)"}),
         OwnOption("--gather", "gather", {"type": count, "metavar": "N", "help": "gather rays a shading point (default: 8)"}),
@@ -244,6 +255,15 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     _add_scene(inspect, scene_is_open)
     _add_view(inspect)
     inspect.add_argument("--json", type=output_file(".json"), metavar="FILE", help="write the same as JSON")
+    inspect.add_argument("--topology", action="store_true", help="also rooms, visibility clusters and gates of the empty space")
+    inspect.add_argument(
+        "--voxels",
+        type=count,
+        default=RenderSettings.voxels,
+        metavar="R",
+        help="of the topology, along the longest side (default: %(default)s)",
+    )
+    inspect.add_argument("--skeleton", type=output_file(".obj"), metavar="FILE.obj", help="write skeleton and gates to look at")
 
     bench = commands.add_parser("bench", help="speed of the parts, measured on this machine")
     bench.add_argument("suite", nargs="?", default=SUITES[0], choices=SUITES, metavar="SUITE", help="%(choices)s (default: %(default)s)")

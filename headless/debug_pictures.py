@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.layers import CONTRACT, Layers, auto_exposure, write_png, write_preview
 
-IDS = ("PointClusters", "PointRepresentatives", "AreaLights")  # numbers from 1; 0 is none
+IDS = ("PointClusters", "PointRepresentatives", "AreaLights", "VisibilityClusters", "GeometryClusters")  # numbers from 1; 0 is none
 SHARES = ("VisibleShare", "VisibleShareBlended")  # 0 to 1
 SHADOWS = "AreaLightShadow"  # the beginning of the names of more shares
 WEIGHTS = "FuzzyWeights"  # the beginning of the names of layers of weights, 0 to 1

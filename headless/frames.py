@@ -16,6 +16,9 @@ from ..core.scene import Scene
 from ..core.settings import RenderSettings
 from .console import Terminal
 from .sources import extract
+from .topology_files import StoredTopologies
+
+TOPOLOGIES = StoredTopologies()
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ def render_frame(scene: bpy.types.Scene, view: View, settings: RenderSettings, t
         arrays = extract(scene, camera=view.camera, size=view.size, frame=view.frame)
         seconds = perf_counter() - begin - compiling.seconds
     with terminal.progress() as progress:
-        result = render(arrays, settings, progress, extraction_seconds=seconds)
+        result = render(arrays, settings, progress, extraction_seconds=seconds, topologies=TOPOLOGIES)
     result.stats["seconds"]["jit"] += compiling.seconds
     return Frame(arrays, result.layers, result.stats)
 

@@ -68,7 +68,7 @@ def bake(
     run.seconds["extraction"] = extraction_seconds
     begin = time.perf_counter()
     threads = thread_count(request.threads)
-    with prepared(run, scene) as tables:
+    with prepared(run, scene, request, threads) as tables:
         seen = [_view(run, tables, target, settings, threads) for target in targets]
         irradiance = _light(run, scene, tables, [texels for texels, _ in seen], settings, threads)
     denoiser = Denoiser() if request.denoise else None
@@ -112,7 +112,7 @@ def bake_corners(
     run = Run(progress)
     threads = thread_count(request.threads)
     full = settings.content == "full"
-    with prepared(run, scene) as tables:
+    with prepared(run, scene, request, threads) as tables:
         with run.stage("texels") as tick:
             corners = view_corners(tables, triangles, settings.texel_samples, request.seed, threads, tick, materials=full)
         (light,) = _light(run, scene, tables, [corners], settings, threads)

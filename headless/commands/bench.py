@@ -19,6 +19,7 @@ from ..kernel_bench import ray_rows
 from ..lightmap_bench import lightmap_rows
 from ..preview_bench import preview_rows
 from ..results import write_json
+from ..topology_bench import topology_rows
 from ..vals_bench import vals_rows
 
 # Keys as in `arguments.SUITES`.
@@ -27,11 +28,12 @@ ROWS = {
     "clustering": clustering_rows,
     "fuzzy": fuzzy_rows,
     "vals": vals_rows,
+    "topology": topology_rows,
     "previews": preview_rows,
     "curves": curves_rows,
     "lightmaps": lightmap_rows,
 }
-PICTURED = ("curves",)  # suites that leave pictures in DIR, too
+PICTURED = ("curves", "topology")  # suites that leave pictures in DIR, too
 PACKAGES = ("bpy", "numpy", "numba", "llvmlite", "scipy", "embreex", "OpenImageIO")
 
 

@@ -13,12 +13,20 @@ from ...core.scene import Scene
 from ..console import Terminal
 from ..results import write_json
 from ..sources import extract, open_source
+from ..topology_files import StoredTopologies, summary, write_obj
 
 
 def run(arguments: Namespace, terminal: Terminal) -> None:
     """Print the report, and write it as JSON where asked."""
     source = open_source(arguments.scene)
-    report = inspect(extract(source, camera=arguments.camera, size=arguments.size, frame=arguments.frame))
+    scene = extract(source, camera=arguments.camera, size=arguments.size, frame=arguments.frame)
+    report = inspect(scene)
+    if arguments.topology or arguments.skeleton is not None:
+        with terminal.waiting("topology"):
+            topology = StoredTopologies().of(scene, arguments.voxels)
+        report["topology"] = summary(topology)
+        if arguments.skeleton is not None:
+            write_obj(arguments.skeleton, topology, scene.origin)
     _print(report, arguments.scene or source.name, terminal)
     if arguments.json is not None:
         write_json(arguments.json, report)
@@ -49,6 +57,8 @@ def _print(report: dict, title: str, terminal: Terminal) -> None:
         "light": " ".join(f"{value:.3g}" for value in report["flux_w"]) + " W into the scene (red, green, blue)",
         "camera": f"{camera['name']}, {camera['kind']}, {camera['size'][0]}x{camera['size'][1]} pixels",
     }
+    if "topology" in report:
+        rows |= _topology_rows(report["topology"])
     table = Table(title=escape(title), show_header=False, title_justify="left")
     table.add_column(style="bold")
     table.add_column()
@@ -62,3 +72,16 @@ def _print(report: dict, title: str, terminal: Terminal) -> None:
         terminal.out.print(f"{heading}:" if lines else f"{heading}: nothing", style="bold")
         for line in lines:
             terminal.out.print(f"  {line}", markup=False, soft_wrap=True)
+
+
+def _topology_rows(topology: dict) -> dict[str, str]:
+    """Lines of the report for `core.topology`."""
+    skeleton, gates = topology["skeleton"], topology["gates"]
+    largest = ", ".join(f"{volume:.3g}" for volume in topology["room_m3"][:5])
+    return {
+        "voxels": f"{'x'.join(map(str, topology['voxels']))} of {topology['voxel_m']:.3g} m; {topology['empty_m3']:.3g} m3 are empty",
+        "rooms": f"{topology['rooms']:,} pieces of empty space that nothing joins; the largest: {largest} m3",
+        "skeleton": f"{skeleton['nodes']:,} nodes, {skeleton['segmented_nodes']:,} of them segmented, with {skeleton['segmented_edges']:,} edges",
+        "visibility clusters": f"{topology['visibility_clusters']:,}",
+        "visibility gates": f"{gates['disks']:,} disks on edges of the skeleton; {gates['polygons']:,} polygons round openings",
+    }
