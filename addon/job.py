@@ -82,6 +82,13 @@ def failed(error: BaseException) -> Job:
     return job
 
 
+def nothing() -> Job:
+    """A job that was given up before it began."""
+    job = Job(lambda _advance: None)
+    job.cancel()
+    return job
+
+
 def loading() -> Job:
     """The job, one a session, that imports what reads and renders scenes: Numba and its compiled code take seconds."""
     global _loading
@@ -112,15 +119,25 @@ def render_job(
 
     def work(advance: Callable[[str, float], bool]) -> Any:
         # Not before `loading`, or Blender's start would wait for Numba.
-        from ..core.jit import CompileWatch
         from ..core.pipeline import render
+
+        return afterwards(render(scene, settings, advance, extraction_seconds=extraction_seconds))
+
+    return computing(work, Progress(settings.time_budget, open_end=settings.target_error is not None))
+
+
+def computing(work: Callable[[Callable[[str, float], bool]], Any], progress: Progress | None = None) -> Job:
+    """A call into the core as a job, whose progress says when code is being compiled."""
+    progress = progress or Progress()
+
+    def watched(advance: Callable[[str, float], bool]) -> Any:
+        from ..core.jit import CompileWatch
 
         with CompileWatch() as watch:
             progress.watch(lambda: watch.compiling)
-            return afterwards(render(scene, settings, advance, extraction_seconds=extraction_seconds))
+            return work(advance)
 
-    progress = Progress(settings.time_budget, open_end=settings.target_error is not None)
-    return Job(work, progress)
+    return Job(watched, progress)
 
 
 def cancel_all() -> None:

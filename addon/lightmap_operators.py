@@ -11,7 +11,9 @@ import bpy
 import numpy as np
 
 from ..core.errors import SceneError
+from .job import Job, computing
 from .lightmap_materials import original_of, set_up, take_down
+from .operators import JobOperator
 
 if TYPE_CHECKING:
     from ..core.lightmaps import Lightmap
@@ -20,66 +22,65 @@ if TYPE_CHECKING:
 _PREFIX = "Lightmap "
 
 
-class BakeLightmaps(bpy.types.Operator):
+class BakeLightmaps(JobOperator, bpy.types.Operator):
     """Bake the light on the surfaces of objects into images; missing UV maps are made beside those that are there"""
 
     bl_idname = "lumigate.bake_lightmaps"
     bl_label = "Bake Lightmaps"
     bl_options = {"REGISTER", "UNDO"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Prepare, bake, load the images; what is wrong is reported in one line."""
-        # Numba takes a second to import: that belongs to the first bake, not to Blender's start.
+    _prepared = None
+
+    def begin(self, context: bpy.types.Context) -> Job | None:
+        """Make UV maps, read the scene, and start to bake."""
         from .lightmaps import prepare
 
-        scene, window = context.scene, context.window_manager
-        window.progress_begin(0, 100)
+        objects = _chosen(self, context.scene)
+        if not objects:
+            return None
+        self._prepared = prepare(context.scene, objects, request_of(context.scene, objects))
+        return computing(self._prepared.run)
 
-        def progress(_stage: str, fraction: float) -> bool:
-            window.progress_update(100 * fraction)
-            return True
+    def abandon(self) -> None:
+        """UV maps made for a bake that was not go again."""
+        if self._prepared is not None:
+            self._prepared.discard()
 
-        try:
-            objects = chosen_objects(scene)
-            if not objects:
-                self.report({"INFO"}, "No object has changed since its last bake")
-                return {"CANCELLED"}
-            baked = prepare(scene, objects, request_of(scene, objects)).run(progress)
-            load_lightmaps(scene, baked)
-        except SceneError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        finally:
-            window.progress_end()
-        for warning in baked.result.stats["warnings"]:
+    def finish(self, context: bpy.types.Context) -> None:
+        """Load the images; what was wrong is reported."""
+        result = self._job.result.result
+        load_lightmaps(context.scene, self._job.result)
+        for warning in result.stats["warnings"]:
             self.report({"WARNING"}, warning)
-        count = len(baked.result.lightmaps)
-        self.report({"INFO"}, f"{count} lightmap{'s' * (count > 1)}: {baked.result.stats['seconds_total']:.1f} s")
-        return {"FINISHED"}
+        count = len(result.lightmaps)
+        self.report({"INFO"}, f"{count} lightmap{'s' * (count > 1)}: {result.stats['seconds_total']:.1f} s")
 
 
-class BakeAttributes(bpy.types.Operator):
+class BakeAttributes(JobOperator, bpy.types.Operator):
     """Bake the light at the corners of faces into the colour attribute 'Lightmap' of the chosen objects' meshes"""
 
     bl_idname = "lumigate.bake_attributes"
     bl_label = "Bake Colour Attributes"
     bl_options = {"REGISTER", "UNDO"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """What is wrong is reported in one line."""
-        from .lightmap_attributes import bake_attributes
+    def begin(self, context: bpy.types.Context) -> Job | None:
+        """Read the scene, and start to bake."""
+        from .lightmap_attributes import prepare_attributes
 
-        scene = context.scene
-        try:
-            objects = chosen_objects(scene)
-            warnings = bake_attributes(scene, objects, request_of(scene, objects).bake) if objects else []
-        except SceneError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        objects = _chosen(self, context.scene)
+        if not objects:
+            return None
+        self._prepared = prepare_attributes(context.scene, objects, request_of(context.scene, objects).bake)
+        return computing(self._prepared.run)
+
+    def finish(self, context: bpy.types.Context) -> None:
+        """Store the light; what was wrong is reported."""
+        light, lit, warnings = self._job.result
+        self._prepared.write(context.scene, light, lit)
         for warning in warnings:
             self.report({"WARNING"}, warning)
-        self.report({"INFO"}, f"{len(objects)} colour attribute{'s' * (len(objects) != 1)}")
-        return {"FINISHED"}
+        count = len(self._prepared.rows)
+        self.report({"INFO"}, f"{count} colour attribute{'s' * (count != 1)}")
 
 
 class RestoreMaterials(bpy.types.Operator):
@@ -94,6 +95,13 @@ class RestoreMaterials(bpy.types.Operator):
         count = take_down(context.scene.objects)
         self.report({"INFO"}, f"{count} object{'s' * (count != 1)} restored")
         return {"FINISHED"}
+
+
+def _chosen(operator: bpy.types.Operator, scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    objects = chosen_objects(scene)
+    if not objects:
+        operator.report({"INFO"}, "No object has changed since its last bake")
+    return objects
 
 
 def chosen_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -35,6 +35,7 @@ class LightmapPanel(bpy.types.Panel):
         if not settings.packed:
             column.prop(settings, "folder")
         column.prop(settings, "materials")
+        layout.operator_context = "INVOKE_DEFAULT"  # as jobs, whose progress and Cancel the panel above shows
         layout.operator(BakeLightmaps.bl_idname, icon="RENDER_STILL")
         layout.operator(BakeAttributes.bl_idname, icon="GROUP_VCOL")
         layout.operator(RestoreMaterials.bl_idname, icon="LOOP_BACK")

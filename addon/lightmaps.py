@@ -100,6 +100,13 @@ class Prepared:
     made: list[bpy.types.Mesh]
     seconds: tuple[float, float, float]
 
+    def discard(self) -> None:
+        """Take away the UV maps that were made."""
+        for mesh in self.made:
+            found = mesh.uv_layers.get(self.request.unwrap.layer)
+            if found is not None:
+                mesh.uv_layers.remove(found)
+
     def run(self, progress: StageProgress | None = None) -> SceneLightmaps:
         """The lightmaps; raises as `core.lightmaps.bake`."""
         extraction, unwrap, jit = self.seconds

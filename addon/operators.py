@@ -13,7 +13,7 @@ import bpy
 from ..core.errors import SceneError
 from .compositor import wire
 from .image_layers import IMAGE_NAME, load_layers, write_layers
-from .job import Job, failed, loading, render_job
+from .job import Job, failed, loading, nothing, render_job
 from .preserved import kept_render_result
 from .state import named_objects
 
@@ -23,7 +23,8 @@ _TICK = 0.1  # seconds between two looks at a running job
 class JobOperator:
     """An operator whose work is a job: the window stays alive, Esc and the panel's button cancel it.
 
-    A subclass gives `begin(context)`, which reads Blender's data and starts the job, and `finish(context)`.
+    A subclass gives `begin(context)`, which reads Blender's data and starts the job (None: there is nothing to do), and
+    `finish(context)`; `abandon()` takes back what `begin` has changed.
     Run from a script (EXEC_DEFAULT, or in background), it waits for the end.
     """
 
@@ -78,7 +79,7 @@ class JobOperator:
             return True
         self._begun = True
         try:
-            self._job = JobOperator.running = self.begin(context)
+            self._job = JobOperator.running = self.begin(context) or nothing()
         except SceneError as error:
             self._job = failed(error)
             return True
@@ -87,6 +88,7 @@ class JobOperator:
     def _end(self, context: bpy.types.Context) -> set[str]:
         JobOperator.running = None
         if self._job.cancelled:
+            self.abandon()
             self.report({"INFO"}, "Cancelled: nothing has changed")
             return {"CANCELLED"}
         try:
@@ -94,9 +96,13 @@ class JobOperator:
                 raise self._job.error
             self.finish(context)
         except SceneError as error:
+            self.abandon()
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return {"FINISHED"}
+
+    def abandon(self) -> None:
+        """Nothing, unless a subclass has something to take back."""
 
     def _show(self, context: bpy.types.Context) -> None:
         state, progress = context.window_manager.lumigate, self._job.progress

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import lumigate
+from lumigate.addon import lightmap_operators
+from lumigate.addon.job import computing
 from lumigate.addon.lightmap_atlas import ATLAS_LAYER, placed
 from lumigate.addon.lightmap_materials import set_up, take_down
 from lumigate.addon.lightmap_operators import chosen_objects
@@ -234,6 +236,25 @@ def test_operator_bakes_loads_and_restores(registered, scene):
     assert [ob.name for ob in chosen_objects(scene)] == ["Box"]
     assert bpy.ops.lumigate.restore_materials() == {"FINISHED"}
     assert state_of(scene) == before
+
+
+def test_cancelled_bake_leaves_the_scene_as_it_was(registered, scene, monkeypatch):
+    before, layers = state_of(scene), [[layer.name for layer in mesh.uv_layers] for mesh in bpy.data.meshes]
+    quick(scene)
+    begun = []
+
+    def cancelled_at_once(work):
+        job = computing(work)
+        begun.append(job)
+        job.cancel()
+        return job
+
+    monkeypatch.setattr(lightmap_operators, "computing", cancelled_at_once)
+    assert bpy.ops.lumigate.bake_lightmaps() == {"CANCELLED"}
+    assert begun and begun[0].cancelled
+    assert state_of(scene) == before
+    assert [[layer.name for layer in mesh.uv_layers] for mesh in bpy.data.meshes] == layers
+    assert not [image for image in bpy.data.images if image.name.startswith("Lightmap")]
 
 
 def test_operator_writes_to_disk(registered, scene, tmp_path):
