@@ -197,6 +197,8 @@ def light_points(
     points: N of them, in an order in which neighbours lie close together; without glossy lobes.
     """
     first = np.zeros((len(points.pixel), 3), np.float32)
+    if run.topology is not None:
+        tables = _within_reach(run, tables, points)
     if direct:
         with run.stage("direct") as tick:
             first, _ = _direct(run, scene, tables, points, settings, threads, tick)
