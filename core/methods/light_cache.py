@@ -37,7 +37,6 @@ MISSED, DIFFUSE_LINK, GLOSSY_LINK = 0, 1, 2
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _HALF = np.float32(0.5)
-_MANY = np.float32(1.5)
 
 
 class Probes(NamedTuple):
@@ -223,156 +222,168 @@ def _links(probes, cache, begin, end, seed, link_cell):
         )  # fmt: skip
 
 
-@kernel
 def _solve(
-    probes, cells, link_cell, seen_cell, parent, root, level_of, prior, near, turns, radiosity, direct, total, linked, number, unit, likeness, sums
-):  # fmt: skip
-    """Radiosity (B, C, 3) of all cells after each bounce, by the links of their probes; the other arrays are scratch.
+    probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, level_of: np.ndarray,
+    near: np.float32, radiosity: np.ndarray, threads: int,
+) -> None:  # fmt: skip
+    """Fills the radiosity (B, C, 3) of all cells after each bounce, by the links of their probes.
 
-    turns: rounds for each bounce, as many as glossy reflections follow one another.  seen_cell: (N,) the cell that a lookup
-    at each probe finds.  root: (C,) the coarsest cell around each.
+    cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
     """
-    number[:] = _0
-    linked[:] = _0
-    unit[:] = _0
-    direct[:] = _0
-    for p in range(len(probes.valid)):
-        if not probes.valid[p] or _guides(p):
-            continue
-        weight = _weight(probes, p, near)
-        for level in range(LEVELS):
-            c = cells[p, level]
-            number[c] += weight
-            unit[c] += weight * weight
-            if link_cell[p] != -1:
-                linked[c] += weight
-            for k in range(3):
-                direct[c, k] += weight * probes.direct[p, k]
-    for c in range(len(number)):
-        unit[c] = unit[c] / number[c] if number[c] > _0 else _1
-    _compare(probes, cells, parent, number, near, direct, prior, sums, likeness)
-    _smooth(direct, number, unit, parent, level_of, likeness)
-    likeness[:] = prior
+    count, turns = len(parent), _glossy_turns(probes)
+    order = np.argsort(-level_of.astype(np.int64), kind="stable")
+    root = np.arange(count)
+    for _ in range(LEVELS - 1):
+        root = np.where(parent[root] >= 0, parent[root], root)
+    row = np.arange(len(probes.valid))
+    knows = np.flatnonzero((probes.valid > 0) & ((row // DEPTH) % GUIDES != 0))
+    weight = np.where((knows % DEPTH == 0) & (probes.distance[knows] > near), _1, LATER)
+    direct, number, squares, unit, linked = (np.zeros((count, k), np.float32) for k in (3, 1, 2, 1, 1))
+    places = np.ascontiguousarray(cells[knows].T)
+    light = probes.direct[knows]
+    bright = light.mean(axis=1)
+    _add(places, weight[:, None] * light, direct, threads)
+    _add(places, weight[:, None], number, threads)
+    _add(places, (weight * (link_cell[knows] != -1))[:, None], linked, threads)
+    _add(places, np.column_stack([weight * bright * bright, weight * weight]), squares, threads)
+    number, linked = number[:, 0], linked[:, 0]
+    unit = np.divide(squares[:, 1], number, out=np.ones(count, np.float32), where=number > 0)
+    likeness = _likeness(parent, level_of, number, squares, direct.mean(axis=1))
+    _smooth(direct, number, unit, parent, order, likeness)
+    sending = link_cell[knows] >= 0
+    places, link = np.ascontiguousarray(places[:, sending]), link_cell[knows[sending]]
+    carry = weight[sending, None] * probes.carry[knows[sending]]
+    glossy = probes.link[knows[sending]] == GLOSSY_LINK
+    looked = knows[(knows % DEPTH == 0) & (probes.distance[knows] > near) & (link_cell[knows] != -1) & (seen_cell[knows] >= 0)]
+    looked_up = (
+        probes.direct[looked].sum(axis=1), seen_cell[looked], probes.carry[looked], link_cell[looked], probes.link[looked] == GLOSSY_LINK,
+    )  # fmt: skip
+    trust = np.float32(BALANCE / max(1, len(probes.valid) // DEPTH))
+    likeness[:] = PRIOR
+    sums = np.zeros((count, 2), np.float32)
     # Glossy links take no bounce: what they carry is found turn by turn.
     for turn in range(turns * len(radiosity)):
         bounce = turn // turns
         if turn % turns == 0 and turns > 1 and bounce > 0:
             radiosity[bounce] = radiosity[bounce - 1]
-        total[:] = _0
-        for p in range(len(probes.valid)):
-            row = bounce if probes.link[p] == GLOSSY_LINK else bounce - 1
-            if link_cell[p] < 0 or row < 0 or _guides(p):
-                continue
-            weight = _weight(probes, p, near)
-            for k in range(3):
-                light = weight * probes.carry[p, k] * radiosity[row, link_cell[p], k]
-                for level in range(LEVELS):
-                    total[cells[p, level], k] += light
-        _smooth(total, linked, unit, parent, level_of, likeness)
-        radiosity[bounce] = direct + total
-        _balance(probes, link_cell, seen_cell, root, near, bounce, radiosity, sums)
+        total = np.zeros((count, 3), np.float32)
+
+        def send(begin: int, end: int, bounce=bounce, total=total) -> None:
+            for level in range(begin, end):
+                _send(places[level], link, carry, glossy, radiosity, bounce, total)
+
+        run_chunks(send, LEVELS, 1, threads)  # the cells of a level are its own
+        _smooth(total, linked, unit, parent, order, likeness)
+        np.add(direct, total, out=radiosity[bounce])
+        _balance(*looked_up, root, trust, bounce, radiosity, sums)
+
+
+def _add(places: np.ndarray, values: np.ndarray, out: np.ndarray, threads: int) -> None:
+    """Adds values (N, K) to the cells (LEVELS, N) of each level in out (C, K)."""
+    values = np.ascontiguousarray(values, np.float32)
+
+    def add(begin: int, end: int) -> None:
+        for level in range(begin, end):
+            _scatter(places[level], values, out)
+
+    run_chunks(add, LEVELS, 1, threads)
 
 
 @kernel
-def _balance(probes, link_cell, seen_cell, root, near, bounce, radiosity, sums):
+def _scatter(cell, values, out):
+    for i in range(len(cell)):
+        for k in range(values.shape[1]):
+            out[cell[i], k] += values[i, k]
+
+
+@kernel
+def _send(cell, link, carry, glossy, radiosity, bounce, total):
+    """Adds to the cells (M,) what they get over the links of their probes in a bounce."""
+    for i in range(len(cell)):
+        row = bounce if glossy[i] else bounce - 1
+        if row >= 0:
+            for k in range(3):
+                total[cell[i], k] += carry[i, k] * radiosity[row, link[i], k]
+
+
+@kernel
+def _balance(sent, seen, carry, link, glossy, root, trust, bounce, radiosity, sums):
     """Scales the cells of each coarsest one so that lookups find as much light there as the probes themselves sent.
 
     What is looked up from afar lies brighter than what hides close by; smoothing over both takes from the first.
+    sent: (M,) the direct light of the probes that may be looked up, sum of the channels.  seen: (M,) the cell that a lookup finds
+    there.  link: (M,) negative where nothing is met.  trust: probes of mean brightness that the whole view counts for.
     """
     sums[:] = _0
-    for p in range(0, len(probes.valid), DEPTH):
-        if not probes.valid[p] or probes.distance[p] <= near or _guides(p) or link_cell[p] == -1 or seen_cell[p] < 0:
-            continue
-        row = bounce if probes.link[p] == GLOSSY_LINK else bounce - 1
-        c = root[seen_cell[p]]
-        for k in range(3):
-            sums[c, 0] += probes.direct[p, k]
-            sums[c, 1] += radiosity[bounce, seen_cell[p], k]
-            if link_cell[p] >= 0 and row >= 0:
-                sums[c, 0] += probes.carry[p, k] * radiosity[row, link_cell[p], k]
-    sent = found = _0
+    for i in range(len(sent)):
+        own = sent[i]
+        row = bounce if glossy[i] else bounce - 1
+        if link[i] >= 0 and row >= 0:
+            for k in range(3):
+                own += carry[i, k] * radiosity[row, link[i], k]
+        at = root[seen[i]]
+        sums[at, 0] += own
+        sums[at, 1] += radiosity[bounce, seen[i], 0] + radiosity[bounce, seen[i], 1] + radiosity[bounce, seen[i], 2]
+    whole = found = _0
     for c in range(len(root)):
-        sent += sums[c, 0]
+        whole += sums[c, 0]
         found += sums[c, 1]
     if not found > _0:
         return
+    known = trust * found
     for c in range(len(root)):
         at = root[c]
         # The factor of the whole view stands in where few probes know better.
-        trust = BALANCE * found / np.float32(max(1, len(probes.valid) // DEPTH))
-        factor = (sums[at, 0] + trust * sent / found) / max(sums[at, 1] + trust, np.float32(1e-30))
+        factor = (sums[at, 0] + known * whole / found) / max(sums[at, 1] + known, np.float32(1e-30))
         factor = min(MOST_BALANCE, max(_1 / MOST_BALANCE, factor))
         for k in range(3):
             radiosity[bounce, c, k] *= factor
 
 
-@kernel
-def _compare(probes, cells, parent, number, near, direct, most, sums, likeness):
-    """As how many probes of each cell the coarser one around it counts (C,), `most` at most: by how alike its cells are.
+def _likeness(parent: np.ndarray, level_of: np.ndarray, number: np.ndarray, squares: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """As how many probes of each cell the coarser one around it counts (C,), `PRIOR` at most: by how alike its cells are.
 
     That is the variance within cells over the variance between them (the linear empirical Bayes estimator): where a patch
     of sun lies beside the dark, its cells tell little of each other.  The mean deviation within cells is taken, for the
-    few cells on the patch's edge have a large one.  sums: (C, 7) scratch.
+    few cells on the patch's edge have a large one.
+
+    number, light: (C,) sums of the probes' weights and of their weighted light.  squares: (C, 2) sums of the weighted squares of
+    the light, and of the squared weights.
     """
-    sums[:] = _0
-    for p in range(len(probes.valid)):
-        if not probes.valid[p] or _guides(p):
-            continue
-        x = (probes.direct[p, 0] + probes.direct[p, 1] + probes.direct[p, 2]) * np.float32(1 / 3)
-        weight = _weight(probes, p, near)
-        for level in range(LEVELS - 1):
-            sums[cells[p, level], 0] += weight * x * x
-            sums[cells[p, level], 1] += weight * weight
-    for c in range(len(parent)):
-        up = parent[c]
-        if up < 0 or not number[c] > _0:
-            continue
-        x = (direct[c, 0] + direct[c, 1] + direct[c, 2]) * np.float32(1 / 3)
-        effective = number[c] * number[c] / sums[c, 1]
-        if effective > _MANY:
-            mean = x / number[c]
-            deviation = np.float32(math.sqrt(max(_0, sums[c, 0] / number[c] - mean * mean) * effective / (effective - _1)))
-            sums[up, 2] += number[c] * deviation
-            sums[up, 3] += number[c]
-        sums[up, 4] += sums[c, 0]
-        sums[up, 5] += x
-        sums[up, 6] += number[c]
-    for c in range(len(parent)):
-        up = parent[c]
-        likeness[c] = most
-        if up < 0 or not sums[up, 3] > _0:
-            continue
-        within = sums[up, 2] / sums[up, 3]
-        within *= within
-        mean = sums[up, 5] / sums[up, 6]
-        between = sums[up, 4] / sums[up, 6] - mean * mean - within
-        if between > _0:
-            likeness[c] = min(most, within / between)
+    count = len(parent)
+    inner = np.flatnonzero((parent >= 0) & (number > 0))
+    up, n, light, squares = parent[inner], number[inner].astype(np.float64), light[inner], squares[inner]
+    effective = n * n / squares[:, 1]
+    several = effective > 1.5
+    factor = effective / np.where(several, effective - 1, 1)
+    deviation = np.sqrt(np.maximum(0, squares[:, 0] / n - (light / n) ** 2) * factor)
+
+    def total(values: np.ndarray) -> np.ndarray:
+        return np.bincount(up, values, count)
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        within = (total(np.where(several, n * deviation, 0)) / total(np.where(several, n, 0))) ** 2
+        whole = total(n)
+        between = total(squares[:, 0]) / whole - (total(light) / whole) ** 2 - within
+        found = np.where(between > 0, np.minimum(PRIOR, within / between), PRIOR)
+    found = np.where(np.isfinite(found), found, PRIOR)
+    return np.where(parent >= 0, found[parent], PRIOR).astype(np.float32)
 
 
 @kernel
-def _smooth(values, number, unit, parent, level_of, likeness):
+def _smooth(values, number, unit, parent, order, likeness):
     """Turns the sums (C, 3) of cells into means; a coarser cell stands in for what a finer one has not seen.
 
     number: (C,) the sum of the weights.  unit: (C,) what a probe of the cell weighs.  likeness: (C,) as how many probes the
-    coarser cell counts.
+    coarser cell counts.  order: (C,) the cells, the coarsest first.
     """
-    for level in range(LEVELS - 1, -1, -1):
-        for c in range(len(parent)):
-            if level_of[c] != level:
-                continue
-            up = parent[c]
-            # What knows nothing itself takes all from the coarser one.
-            weight = (likeness[c] * unit[c] if number[c] > _0 else _1) if up >= 0 else _0
-            for k in range(3):
-                own = values[c, k] + (weight * values[up, k] if up >= 0 else _0)
-                values[c, k] = own / max(number[c] + weight, np.float32(1e-6))
-
-
-@inlined
-def _weight(probes, p, near):
-    """Of probe p in the means: what is looked up counts, and other parts of the same cell less."""
-    return _1 if p % DEPTH == 0 and probes.distance[p] > near else LATER
+    for c in order:
+        up = parent[c]
+        # What knows nothing itself takes all from the coarser one.
+        weight = (likeness[c] * unit[c] if number[c] > _0 else _1) if up >= 0 else _0
+        for k in range(3):
+            own = values[c, k] + (weight * values[up, k] if up >= 0 else _0)
+            values[c, k] = own / max(number[c] + weight, np.float32(1e-6))
 
 
 @inlined
@@ -446,14 +457,7 @@ def build_light_cache(probes: Probes, bounces: int, seed: int, threads: int = 0)
     link_cell = np.empty(len(probes.valid), np.int64)
     run_chunks(lambda begin, end: _links(probes, cache, begin, end, np.uint32(seed), link_cell), len(link_cell), CHUNK, threads)
     seen_cell = look_up(cache, probes.position, probes.normal, probes.side, seed + 3, threads)
-    root = np.arange(count)
-    for _ in range(LEVELS - 1):
-        root = np.where(parent[root] >= 0, parent[root], root)
-    vectors, numbers = np.zeros((2, count, 3), np.float32), np.zeros((4, count), np.float32)
-    _solve(
-        probes, cells, link_cell, seen_cell, parent, root, level_of, np.float32(PRIOR), np.float32(NEAR * size), _glossy_turns(probes), radiosity, *vectors, *numbers,
-        np.zeros((count, 7), np.float32),
-    )  # fmt: skip
+    _solve(probes, cells, link_cell, seen_cell, parent, level_of, np.float32(NEAR * size), radiosity, threads)
     _brightness(probes, cells, link_cell, parent, level_of, np.float32(GUIDE_PRIOR), radiosity, cache.bright, np.zeros(count, np.float32))
     return cache
 
