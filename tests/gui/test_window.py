@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import subprocess
+import tempfile
 import sys
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from lumigate import sample_scenes
 
 ROOT = Path(lumigate.__file__).resolve().parent
 TOOLS = Path(os.environ.get("LUMIGATE_GUI_TOOLS", ROOT.parent / "shared" / "tools"))
-CHROOT = Path(os.environ.get("BLENDER_ROOT", "/tmp/blender-gui")) / "chroot-sid"
+CHROOT = Path(os.environ.get("BLENDER_ROOT", Path(tempfile.gettempdir()) / "blender-gui")) / "chroot-sid"
 SHOTS = ("panel", "render", "viewport", "progress", "layers", "compositor", "check")
 MINUTES = 9  # the first time, which compiles
 
