@@ -38,13 +38,13 @@ class BakeLightmaps(JobOperator, bpy.types.Operator):
         objects = _chosen(self, context.scene)
         if not objects:
             return None
-        self._prepared = prepare(context.scene, objects, request_of(context.scene, objects))
+        self._scene, self._prepared = context.scene, prepare(context.scene, objects, request_of(context.scene, objects))
         return computing(self._prepared.run)
 
     def abandon(self) -> None:
-        """UV maps made for a bake that was not go again."""
+        """Meshes and UV maps made for a bake that was not go again."""
         if self._prepared is not None:
-            self._prepared.discard()
+            self._prepared.before.restore(self._scene)
 
     def finish(self, context: bpy.types.Context) -> None:
         """Load the images; what was wrong is reported."""

@@ -49,6 +49,37 @@ def ensure_uv(objects: Iterable[bpy.types.Object], unwrap: Unwrap) -> list[bpy.t
     return made
 
 
+class KeptUvs:
+    """The meshes and UV maps that objects have now, by name, for undo may replace what they are; `restore` gives them back."""
+
+    def __init__(self, objects: Iterable[bpy.types.Object]):
+        self._kept = {ob.name: (ob.data.name, {layer.name: _coordinates(layer) for layer in ob.data.uv_layers}) for ob in objects}
+
+    def restore(self, scene: bpy.types.Scene) -> None:
+        """Take new meshes and UV maps away, and give those that were there their coordinates; what has gone since is left out."""
+        for name, (mesh_name, layers) in self._kept.items():
+            ob, mesh = scene.objects.get(name), bpy.data.meshes.get(mesh_name)
+            if ob is None or mesh is None:
+                continue
+            own = ob.data
+            if own != mesh:
+                ob.data = mesh
+                if not own.users:
+                    bpy.data.meshes.remove(own)
+            for layer in [layer.name for layer in mesh.uv_layers if layer.name not in layers]:
+                mesh.uv_layers.remove(mesh.uv_layers[layer])
+            for layer, uv in layers.items():
+                if layer in mesh.uv_layers and not np.array_equal(_coordinates(mesh.uv_layers[layer]), uv):
+                    mesh.uv_layers[layer].data.foreach_set("uv", uv)
+
+
+def _coordinates(layer: bpy.types.MeshUVLoopLayer) -> np.ndarray:
+    """(2 loops,) float32."""
+    uv = np.empty(2 * len(layer.data), np.float32)
+    layer.data.foreach_get("uv", uv)
+    return uv
+
+
 def set_uv(mesh: bpy.types.Mesh, name: str, uv: np.ndarray) -> None:
     """Write the UV map `name`, (loops, 2), made if missing; which map is active, and which materials read, stays as it is."""
     active, rendered = mesh.uv_layers.active, next((layer.name for layer in mesh.uv_layers if layer.active_render), None)

@@ -17,7 +17,7 @@ from ..core.scene import Geometry, Scene
 from ..core.settings import BakeSettings
 from .extract import extract_scene
 from .lightmap_atlas import ATLAS_LAYER, lay_out
-from .lightmap_uv import Unwrap, ensure_uv
+from .lightmap_uv import KeptUvs, Unwrap, ensure_uv
 
 LARGEST_SIDE = 16384  # texels
 ATLAS = "Lightmap"  # name of the one image
@@ -89,7 +89,7 @@ def _named(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
 class Prepared:
     """A bake of which Blender's part is done: `run` reads arrays only and may be called in any thread.
 
-    seconds: of extraction, of unwrapping, and of compilation.
+    before: the UV maps that were there.  seconds: of extraction, of unwrapping, and of compilation.
     """
 
     arrays: Scene
@@ -98,14 +98,8 @@ class Prepared:
     layer: str
     objects: dict[str, list[str]]
     made: list[bpy.types.Mesh]
+    before: KeptUvs
     seconds: tuple[float, float, float]
-
-    def discard(self) -> None:
-        """Take away the UV maps that were made."""
-        for mesh in self.made:
-            found = mesh.uv_layers.get(self.request.unwrap.layer)
-            if found is not None:
-                mesh.uv_layers.remove(found)
 
     def run(self, progress: StageProgress | None = None) -> SceneLightmaps:
         """The lightmaps; raises as `core.lightmaps.bake`."""
@@ -127,8 +121,17 @@ def prepare(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], request
     """Make UV maps, read the scene, and check that every object can hold its lightmap.
 
     Raises:
-        SceneError: an object cannot be baked, and why.
+        SceneError: an object cannot be baked, and why; meshes and UV maps are as they were.
     """
+    before = KeptUvs(objects)
+    try:
+        return _prepared(scene, objects, request, before)
+    except BaseException:
+        before.restore(scene)
+        raise
+
+
+def _prepared(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], request: LightmapRequest, before: KeptUvs) -> Prepared:
     if not 1 <= request.size <= LARGEST_SIDE:
         raise SceneError(f"a lightmap of {request.size} texels a side cannot be made; choose 1 to {LARGEST_SIDE}")
     begin = time.perf_counter()
@@ -152,7 +155,7 @@ def prepare(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], request
             check_charts(target.uv, owner, arrays.geometry.object_names, layer, max(target.size))
         seconds = time.perf_counter() - begin - compiling.seconds
     members = {target.name: sorted(found) if request.atlas else [target.name] for target in targets}
-    return Prepared(arrays, targets, request, layer, members, made, (seconds, unwrapped, compiling.seconds))
+    return Prepared(arrays, targets, request, layer, members, made, before, (seconds, unwrapped, compiling.seconds))
 
 
 def _gap(ob: bpy.types.Object, request: LightmapRequest) -> float:

@@ -238,9 +238,21 @@ def test_operator_bakes_loads_and_restores(registered, scene):
     assert state_of(scene) == before
 
 
-def test_cancelled_bake_leaves_the_scene_as_it_was(registered, scene, monkeypatch):
-    before, layers = state_of(scene), [[layer.name for layer in mesh.uv_layers] for mesh in bpy.data.meshes]
-    quick(scene)
+def meshes_of(scene):
+    """Mesh of each object, and the coordinates of its UV maps."""
+    return {
+        ob.name: (ob.data.name, {layer.name: [tuple(corner.uv) for corner in layer.data] for layer in ob.data.uv_layers})
+        for ob in scene.objects
+        if ob.type == "MESH"
+    }
+
+
+@pytest.mark.parametrize("atlas", [False, True])
+def test_cancelled_bake_leaves_the_scene_as_it_was(registered, scene, monkeypatch, atlas):
+    quick(scene).atlas = atlas
+    if atlas:  # the lightmap of an earlier bake keeps its place
+        ensure_uv([scene.objects["Floor"]], Unwrap(layer=ATLAS_LAYER))
+    before, meshes = state_of(scene), meshes_of(scene)
     begun = []
 
     def cancelled_at_once(work):
@@ -253,7 +265,7 @@ def test_cancelled_bake_leaves_the_scene_as_it_was(registered, scene, monkeypatc
     assert bpy.ops.lumigate.bake_lightmaps() == {"CANCELLED"}
     assert begun and begun[0].cancelled
     assert state_of(scene) == before
-    assert [[layer.name for layer in mesh.uv_layers] for mesh in bpy.data.meshes] == layers
+    assert meshes_of(scene) == meshes
     assert not [image for image in bpy.data.images if image.name.startswith("Lightmap")]
 
 

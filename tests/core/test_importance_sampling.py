@@ -124,6 +124,19 @@ def test_cache_keeps_the_light_of_a_plane():
     np.testing.assert_allclose(found[0][away], np.where(places[away, 0] < 0.5, 0.1, 2.0), rtol=0.5)
 
 
+def test_a_patch_of_sun_does_not_light_the_dark_beside_it():
+    # Few probes in the dark, as behind a curtain: their own light is 0, the coarser cells around them hold the sun.
+    probes = probes_on_a_plane(20000, lambda x, y: np.where(x < 0.5, 10.0, 0.0))
+    first = slice(0, None, DEPTH)
+    dark = probes.position[first, 0] > 0.5
+    probes.valid[first] &= ~dark | (np.arange(len(dark)) % 8 == 1)
+    probes.distance[first][dark] = 0.0  # nobody looks at them from afar: they weigh a fifth
+    cache = build_light_cache(probes, 1, seed=1)
+    places = np.column_stack([np.full(20000, 0.7), np.linspace(0.05, 0.95, 20000), np.zeros(20000)]).astype(np.float32)
+    cell = look_up(cache, places, np.tile(np.float32([0, 0, 1]), (20000, 1)), np.zeros(20000, np.int32), 3)
+    assert cache.radiosity[0, cell, 0].mean() < 0.2  # .08; with coarser cells as two probes .39, as two whole ones 2.5
+
+
 def test_cache_does_not_leak_to_the_other_side_or_around_a_corner():
     cache = build_light_cache(probes_on_a_plane(5000, lambda x, y: np.ones_like(x)), 1, seed=1)
     places = np.tile(np.float32([0.5, 0.5, 0.0]), (4, 1))
