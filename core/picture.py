@@ -21,7 +21,7 @@ class Picture:
     """Light and guides of a view, (H, W, 3) float32 each but for depth (H, W).
 
     direct, diffuse_indirect, glossy_indirect, emission: radiance (W/m^2/sr).  guide_albedo, guide_normal: tell a denoiser
-    where edges are.  weight: how many samples it stands for, on any scale.
+    where edges are.  weight: how many samples it stands for, on any scale.  triangle: (H, W) int32, of `position`, where it is asked for.
     """
 
     direct: np.ndarray
@@ -35,6 +35,7 @@ class Picture:
     position: np.ndarray
     depth: np.ndarray
     weight: float = 1.0
+    triangle: np.ndarray | None = None
 
     @staticmethod
     def compose(
@@ -133,6 +134,16 @@ def splat(points: ShadingPoints, radiance: np.ndarray, shape: tuple[int, int]) -
     for c in range(3):
         out[:, c] = np.bincount(points.pixel, radiance[:, c], n)
     return out.reshape(*shape, 3)
+
+
+def nearest_triangles(seen: View) -> np.ndarray:
+    """(H, W) int32: the triangle of the shading point that lies nearest to each pixel's position, -1 where there is none."""
+    points = seen.points
+    away = points.position - seen.position.reshape(-1, 3)[points.pixel]
+    farthest_first = np.argsort(-np.einsum("nc,nc->n", away, away), kind="stable")
+    found = np.full(seen.depth.size, -1, np.int32)
+    found[points.pixel[farthest_first]] = points.triangle[farthest_first]
+    return found.reshape(seen.shape)
 
 
 def denoising_guides(seen: View) -> tuple[np.ndarray, np.ndarray]:

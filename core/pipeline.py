@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -24,23 +24,25 @@ from .methods.instant_radiosity import InstantRadiosity, clamp_of
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
 from .methods.virtual_area_lights import VirtualAreaLights
 from .methods.visibility_gates import VisibilityGates
-from .particles import Vpls
+from .particles import Vpls, trace_particles
 from .passes import WORTH, Passes
-from .picture import Picture, splat
-from .rays import RayScene
-from .scene import AREA, POINT, SPOT, TRANSPARENT, Scene, Skipped
+from .picture import Picture, nearest_triangles, splat
+from .reuse import Sequence
+from .reuse.sequence import ray_scene
+from .scene import AREA, POINT, SPOT, Scene, Skipped
 from .settings import RenderSettings
 from .threads import Cancelled, thread_count
 from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, reachable_vpls, rooms_seen, without_emitters
 from .transport import Transport, transport
 from .view.points import ShadingPoints
-from .view.primary import view
+from .view.primary import View, view
 from .vpl_pool import vpl_pool, vpl_sequence
 
 # progress(stage, fraction) -> True to go on, False to cancel.
 StageProgress = Callable[[str, float], bool]
 
 AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "virtual-area-lights", "visibility-gates", "importance-sampling")
+TURN = 32452843  # between the seeds of a sequence's turns
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
 
 
@@ -66,6 +68,8 @@ class Run:
     clusters: FuzzyClustering | VirtualAreaLights | VisibilityGates | None = None  # whose clusters the debug layers show
     topology: Topology | None = None
     debug: dict[str, np.ndarray] = field(default_factory=dict)
+    sequence: Sequence | None = None
+    turn: int = 0  # which part of the random sequence of the shading points' rays
 
     def skip(self, stage: str, why: str) -> None:
         """Note what was left out, once."""
@@ -92,10 +96,12 @@ def render(
     *,
     extraction_seconds: float = 0.0,
     topologies: Topologies = IN_MEMORY,
+    sequence: Sequence | None = None,
 ) -> RenderResult:
     """Compute the layers that `settings` ask for, in as many passes as its time budget or target error need.
 
     topologies: where the method that needs one finds the scene's.
+    sequence: what the frames of a sequence share; `scene` is then as `sequence.begin` gave it.
 
     Raises:
         SceneError: the scene cannot be rendered with these settings.
@@ -103,12 +109,39 @@ def render(
     """
     settings = settings.with_defaults()
     begin = time.perf_counter()
+    if sequence is not None:
+        denoiser = sequence.denoiser if settings.denoise else None
+        return _render(scene, settings, denoiser, progress, extraction_seconds, begin, topologies, sequence)
     denoiser = Denoiser() if settings.denoise else None
     try:
-        return _render(scene, settings, denoiser, progress, extraction_seconds, begin, topologies)
+        return _render(scene, settings, denoiser, progress, extraction_seconds, begin, topologies, None)
     finally:  # a cancelled render must not leave the library's threads behind
         if denoiser:
             denoiser.close()
+
+
+def remember(
+    scene: Scene,
+    settings: RenderSettings,
+    sequence: Sequence,
+    progress: StageProgress | None = None,
+    *,
+    exposed: bool = False,
+    topologies: Topologies = IN_MEMORY,
+) -> None:
+    """Compute of a frame what later ones need of it, and no layers; arguments and errors as `render`.
+
+    exposed: it is a sub-frame of the frame that `render` will end.
+    """
+    settings = settings.with_defaults()
+    run = Run(progress, sequence=sequence, turn=sequence.turn)
+    threads = thread_count(settings.threads)
+    begin = time.perf_counter()
+    picture = _passes(run, scene, settings, threads, None, topologies, lambda: time.perf_counter() - begin).picture
+    if exposed:
+        sequence.expose(picture, threads)
+    else:
+        sequence.add(picture)
 
 
 def _render(
@@ -119,10 +152,11 @@ def _render(
     extraction_seconds: float,
     begin: float,
     topologies: Topologies,
+    sequence: Sequence | None,
 ) -> RenderResult:
     """The same with nothing left open in `settings`, and the denoiser that they want; begin: when the clock started."""
     method = method_of(settings)
-    run = Run(progress)
+    run = Run(progress, sequence=sequence, turn=sequence.turn if sequence else 0)
     run.seconds["extraction"] = extraction_seconds
     threads = thread_count(settings.threads)
 
@@ -131,16 +165,11 @@ def _render(
 
     if denoiser and denoiser.warning:
         run.warnings.append(denoiser.warning)
-    with prepared(run, scene, settings, threads, topologies) as tables:
-        camera = scene.camera
-        pixels = (camera.border[2] - camera.border[0]) * (camera.border[3] - camera.border[1])
-        passes = Passes(settings.time_budget, settings.target_error, pixels, threads)
-        quality = passes.first()
-        while quality is not None:
-            start = elapsed()
-            passes.add(_pass(run, scene, tables, settings.scaled(quality, passes.count), threads, quality**WORTH))
-            quality = passes.next(elapsed(), elapsed() - start, quality, denoiser)
+    passes = _passes(run, scene, settings, threads, denoiser, topologies, elapsed)
     picture = passes.picture
+    if sequence:
+        with run.stage("history"):
+            picture = sequence.developed(picture, threads)
     if denoiser:
         with run.stage("denoise"):
             picture = picture.denoised(denoiser, threads, direct=settings.wants("Direct", "Combined"))
@@ -169,20 +198,44 @@ def _render(
     return RenderResult(layers, stats)
 
 
+def _passes(
+    run: Run,
+    scene: Scene,
+    settings: RenderSettings,
+    threads: int,
+    denoiser: Denoiser | None,
+    topologies: Topologies,
+    elapsed: Callable[[], float],
+) -> Passes:
+    """All passes of a picture, and those that stand for the frames before the first one of a sequence."""
+    with prepared(run, scene, settings, threads, topologies) as tables:
+        camera = scene.camera
+        pixels = (camera.border[2] - camera.border[0]) * (camera.border[3] - camera.border[1])
+        passes = Passes(settings.time_budget, settings.target_error, pixels, threads)
+        quality = passes.first()
+        while quality is not None:
+            start = elapsed()
+            passes.add(_pass(run, scene, tables, settings.scaled(quality, passes.count), threads, quality**WORTH))
+            quality = passes.next(elapsed(), elapsed() - start, quality, denoiser)
+        if run.sequence:
+            for turn in run.sequence.first_turns:
+                run.turn = turn
+                run.sequence.add(_pass(run, scene, tables, settings, threads, 1.0))
+    return passes
+
+
 @contextmanager
 def prepared(run: Run, scene: Scene, settings: RenderSettings, threads: int, topologies: Topologies = IN_MEMORY) -> Iterator[Transport]:
     """The tables of a scene, whose rays can be traced inside the block; remarks on it, and its topology, go into `run`."""
     with run.stage("rays"):
-        geometry = scene.geometry
-        transparent = (scene.materials.tables.flags[geometry.material] & TRANSPARENT) != 0
-        ray_scene = RayScene(geometry.vertices, geometry.triangles, geometry.object_visibility[geometry.object], transparent)
-    with ray_scene:
+        rays = run.sequence.rays(scene) if run.sequence else ray_scene(scene)
+    with nullcontext() if run.sequence else rays:
         with run.stage("emitters"):
-            emitters = build_emitters(scene)
+            emitters = run.sequence.emitters(scene) if run.sequence else build_emitters(scene)
             skipped, warnings = foresee(scene, emitters)
             run.skipped = [*scene.skipped, *skipped]
             run.warnings += [*scene.warnings, *warnings]
-            tables = transport(geometry, scene.materials.tables, ray_scene.tables, emitters)
+            tables = transport(scene.geometry, scene.materials.tables, rays.tables, emitters)
         if settings.method == "visibility-gates":
             with run.stage("topology"):
                 run.topology = topologies.of(scene, settings.voxels, threads)
@@ -211,7 +264,11 @@ def light_points(
 def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, threads: int, weight: float) -> Picture:
     """One picture of the view, its samples, VPLs and caches independent of those of other seeds."""
     with run.stage("view") as tick:
-        seen = view(scene, tables.rays, world_tables(scene.world), settings.pixel_samples, settings.seed, threads, tick)
+
+        def look() -> View:
+            return view(scene, tables.rays, world_tables(scene.world), settings.pixel_samples, settings.seed, threads, tick)
+
+        seen = run.sequence.view(scene, settings, look) if run.sequence else look()
         run.rays["primary"] += seen.rays
     points = seen.points
     if run.topology is not None:
@@ -235,7 +292,8 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
             run.debug = single_lights(tables, vpls, points, seen.shape, threads)
             if run.clusters is not None:
                 run.debug |= run.clusters.debug_layers(points, seen.shape)
-    return Picture.compose(seen, direct, indirect, highlights + mirrored.direct, mirrored.indirect, mirrored.albedo, weight)
+    picture = Picture.compose(seen, direct, indirect, highlights + mirrored.direct, mirrored.indirect, mirrored.albedo, weight)
+    return replace(picture, triangle=nearest_triangles(seen)) if run.sequence else picture
 
 
 def method_of(settings: RenderSettings) -> str:
@@ -295,7 +353,7 @@ def _glossy(
         return Reflections(nothing, nothing, 0, nothing)
     with run.stage("glossy") as tick:
         found = reflect(
-            tables, points, settings.direct_samples, settings.reflections, settings.bounces, settings.seed, threads, tick,
+            tables, points, settings.direct_samples, settings.reflections, settings.bounces, settings.seed + TURN * run.turn, threads, tick,
             cache=sampler.cache if sampler else None, near=sampler.near if sampler else np.inf,
         )  # fmt: skip
         run.rays["reflected"] = run.rays.get("reflected", 0) + found.rays
@@ -322,7 +380,8 @@ def _indirect(
         return nothing, Vpls.allocate(0)
     with run.stage("vpls") as tick:
         if sampler:
-            vpls, counts = sampler.prepare(tables, points, settings.vpls, tick)
+            particles = run.sequence.particles if run.sequence else trace_particles
+            vpls, counts = sampler.prepare(tables, points, settings.vpls, tick, particles=particles)
         elif settings.method == "virtual-area-lights":
             vpls, counts = vpl_sequence(tables, points, settings.vpls, settings.bounces, settings.seed, threads)
         else:
@@ -337,7 +396,7 @@ def _indirect(
         return nothing, Vpls.allocate(0)
     with run.stage("indirect") as tick:
         if sampler:
-            irradiance = sampler.irradiance(points, tick)
+            irradiance = sampler.irradiance(points, tick, first=run.turn * max(settings.samples, settings.gather))
             run.rays["shadow"] += sampler.rays
             run.pairs += sampler.pairs
             return irradiance, vpls

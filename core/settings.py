@@ -221,6 +221,29 @@ class RenderSettings:
 
 
 @dataclass(frozen=True)
+class SequenceSettings:
+    """What the frames of a sequence share.
+
+    history: earlier frames whose light is reprojected and averaged into a frame, 0 for independent frames.
+    share: part of the rays of a picture by itself that a frame with history takes.
+    motion_blur: sub-frames a frame while the shutter is open, 1 for none.
+    """
+
+    history: int = 7
+    share: float = 0.35
+    motion_blur: int = 1
+
+    def frame(self, settings: RenderSettings) -> RenderSettings:
+        """The request for one frame: fewer rays for what noise the frames before it take out; edges and direct light as ever."""
+        if not self.history or settings.time_budget is not None or settings.target_error is not None:
+            return settings
+        settings = settings.with_defaults()
+        share = self.share / self.motion_blur
+        rays = {name: max(1, round(share * n)) for name in ("samples", "gather", "reflections") if (n := getattr(settings, name)) > 0}
+        return replace(settings, **rays) if settings.method == "importance-sampling" else settings
+
+
+@dataclass(frozen=True)
 class BakeSettings:
     """How lightmaps are made; `render` says how their light is computed.
 

@@ -22,6 +22,9 @@ from .threads import Cancelled, Progress, run_chunks
 from .transport import Transport
 from .view.points import ShadingPoints
 
+# (scene, count, bounces, seed, threads) -> the VPLs of as many particles, and the rays traced.
+Particles = Callable[[Transport, int, int, int, int], tuple[Vpls, int]]
+
 BATCH = 8  # particles a batch, for each VPL wanted
 MOST_BATCHES = 16
 ENOUGH = 1.5  # lights that matter, for each VPL wanted
@@ -145,12 +148,13 @@ def vpl_pool(
     *,
     share: Callable[[Vpls], np.ndarray] | None = None,
     batches: int = MOST_BATCHES,
+    particles: Particles = trace_particles,
 ) -> tuple[Vpls, dict]:
     """About `count` VPLs that light the view, after at most `bounces` diffuse surfaces.
 
     g_max_of: (vpls, points) -> the clamp of the geometry term, which bounds what one light can seem to give.
     share: vpls -> the part of each one's light (M,) that is wanted (None: all of it).
-    batches: of particles, at most.
+    batches: of particles, at most.  particles: traces them, or knows them already; they may be changed here.
 
     Returns:
         The VPLs, and counts: `light` and `shadow` rays, `traced` VPLs, `useless` ones (behind every point).
@@ -161,7 +165,7 @@ def vpl_pool(
     importance: list[np.ndarray] = []
     g_max = None
     for batch in range(batches):
-        vpls, rays = trace_particles(scene, max(count * BATCH, 64), bounces, seed + 7919 * batch, threads)
+        vpls, rays = particles(scene, max(count * BATCH, 64), bounces, seed + 7919 * batch, threads)
         counts["light"] += rays
         counts["traced"] += len(vpls.bounce)
         kept = drop_useless(vpls, points)

@@ -16,9 +16,9 @@ from ..core.settings import RenderSettings
 from .argument_types import count, positive, size_or_none
 from .bake_arguments import add_bake_settings
 from .outputs import OutputError, check_file, check_folder
+from .sequence_arguments import add_sequence, frame, frame_range, sequence_settings
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
-LAST_FRAME = 1_048_574  # Blender's MAXFRAME
 SUITES = ("kernels", "clustering", "fuzzy", "vals", "topology", "previews", "curves", "lightmaps")  # of `bench`
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
 
@@ -39,24 +39,6 @@ def resolution(text: str) -> tuple[int, int]:
     if not all(1 <= side <= LARGEST_SIDE for side in sides):
         raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT with sides of 1 to {LARGEST_SIDE} pixels, as in 1280x720")
     return sides
-
-
-def frame(text: str) -> int:
-    """A frame number that Blender can hold."""
-    if not re.fullmatch(r"-?\d+", text) or abs(int(text)) > LAST_FRAME:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a frame number from {-LAST_FRAME} to {LAST_FRAME}")
-    return int(text)
-
-
-def frame_range(text: str) -> range:
-    """FIRST-LAST, both rendered."""
-    match = re.fullmatch(r"(-?\d+)-(-?\d+)", text)
-    if not match:
-        raise argparse.ArgumentTypeError(f"{text!r} is not FIRST-LAST, as in 1-24")
-    first, last = (frame(part) for part in match.groups())
-    if last < first:
-        raise argparse.ArgumentTypeError(f"{text!r} ends before it begins; write {last}-{first}")
-    return range(first, last + 1)
 
 
 def scene_source(text: str) -> str:
@@ -224,6 +206,7 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     _add_output(render, "OUT.exr")
     _add_view(render)
     _add_render_settings(render)
+    add_sequence(render, output_file)
     render.add_argument("--stats", type=output_file(".json"), metavar="FILE.json", help="write times, ray counts and warnings")
 
     reference = commands.add_parser("reference", help="the same layers by Cycles, to compare with")
@@ -293,7 +276,7 @@ def _add_view(parser: Parser) -> None:
     frames = parser.add_mutually_exclusive_group()
     frames.add_argument("--frame", type=frame, metavar="F", help="the frame (default: the scene's current one)")
     if parser.prog.endswith("render"):
-        frames.add_argument("--frames", type=frame_range, metavar="A-B", help="these frames; OUT.exr becomes OUT0001.exr and so on")
+        frames.add_argument("--frames", type=frame_range, metavar="A-B[:STEP]", help="these frames; OUT.exr becomes OUT0001.exr and so on")
 
 
 def _add_render_settings(parser: Parser) -> None:
@@ -372,6 +355,8 @@ def parse(argv: list[str] | None = None, *, in_blender: bool = False) -> argpars
         parser.error("--gltf needs --content full: glTF knows no lightmaps, so that their light shines from the materials")
     if arguments.command in ("render", "bake"):
         arguments.settings = _render_settings(parser, vars(arguments))
+    if arguments.command == "render":
+        arguments.sequence = sequence_settings(parser, arguments)
     if arguments.command == "bench":
         arguments.options = _suite_options(parser, vars(arguments))
     return arguments

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
@@ -28,10 +28,6 @@ class View:
     camera: str | None = None
     size: tuple[int, int] | None = None
     frame: int | None = None
-
-    def at(self, frame: int) -> View:
-        """The same view at another frame."""
-        return replace(self, frame=frame)
 
 
 @dataclass(frozen=True)

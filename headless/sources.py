@@ -46,7 +46,7 @@ def find_scene(source: str) -> str | None:
     return next((str(path) for path in paths if path.is_file()), None)
 
 
-def extract(scene: bpy.types.Scene, *, camera: str | None, size: tuple[int, int] | None, frame: int | None) -> Scene:
+def extract(scene: bpy.types.Scene, *, camera: str | None, size: tuple[int, int] | None, frame: float | None) -> Scene:
     """The arrays of `scene` as its camera sees it; raises SceneError where it cannot be rendered."""
     with quiet():
         return extract_scene(scene, camera=camera, size=size, frame=frame)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import bpy
@@ -23,7 +24,7 @@ def extract_scene(
     *,
     camera: str | None = None,
     size: tuple[int, int] | None = None,
-    frame: int | None = None,
+    frame: float | None = None,
     view_layer: bpy.types.ViewLayer | str | None = None,
     depsgraph: bpy.types.Depsgraph | None = None,
     lightmaps: Mapping[str, str] | None = None,
@@ -31,7 +32,7 @@ def extract_scene(
     """A scene as a render sees it, in arrays.
 
     camera: name of a camera object, else the scene's active one.  size: width and height of the full
-    frame, else the scene's.  frame: sets the scene to it first.  view_layer: else the first one that
+    frame, else the scene's.  frame: sets the scene to it first; a fraction is a sub-frame.  view_layer: else the first one that
     is used for rendering.
     depsgraph: the evaluation to read.  A render engine passes its own and must pass one; elsewhere
     leave it out, and the scene is evaluated as for a render.
@@ -40,8 +41,8 @@ def extract_scene(
     Raises:
         SceneError: no camera, one that cannot be rendered from, no pixels, or too much geometry.
     """
-    if frame is not None and frame != scene.frame_current:
-        scene.frame_set(frame)
+    if frame is not None and frame != scene.frame_current_final:
+        scene.frame_set(math.floor(frame), subframe=frame % 1.0)
     eye = find_camera(scene, camera) if lightmaps is None else None
     pixels = eye and image_frame(scene, size)
     warnings = camera_warnings(eye, scene) if eye else []

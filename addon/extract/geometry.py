@@ -210,10 +210,19 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
 
     _flip(geometry, np.flatnonzero(mirrored[geometry.object]))
     warnings += _drop_invalid(geometry, world, broken)
-    origin = 0.5 * (world.min(0) + world.max(0)) if len(world) else np.zeros(3)
+    origin = _origin(world)
     np.subtract(world, origin, out=geometry.vertices, casting="same_kind")
     _repair_normals(geometry)
     return geometry, origin, warnings
+
+
+def _origin(world: np.ndarray) -> np.ndarray:
+    """(3,) the middle of the bounds on a grid of an eighth to a quarter of them: it stays where it is while a part of the scene moves."""
+    if not len(world):
+        return np.zeros(3)
+    low, high = world.min(0), world.max(0)
+    cell = 2.0 ** (np.floor(np.log2(max((high - low).max(), 1e-30))) - 2)
+    return np.round(0.5 * (low + high) / cell) * cell
 
 
 def _batches(parts: list[Part]) -> list[list[int]]:

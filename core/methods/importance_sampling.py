@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel, leaf
-from ..particles import Vpls
+from ..particles import Vpls, trace_particles
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
 from ..rays.packet import (
@@ -50,7 +50,7 @@ from ..surfaces.visibility import nearest_surface, transmittance1
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from ..vpl_pool import vpl_pool
+from ..vpl_pool import Particles, vpl_pool
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
 from .light_cache import NEAR, LightCache, build_light_cache, find_cell, look_up, seen_light
@@ -353,10 +353,28 @@ class ImportanceSampling:
         )
         return (bright / (bright + self.tau)).astype(np.float32)
 
-    def prepare(self, scene: Transport, points: ShadingPoints, count: int, progress: Progress | None = None) -> tuple[Vpls, dict]:
-        """Trace about `count` VPLs for what is left to them: the VPLs and the counts of `vpl_pool`."""
+    def prepare(
+        self,
+        scene: Transport,
+        points: ShadingPoints,
+        count: int,
+        progress: Progress | None = None,
+        *,
+        particles: Particles = trace_particles,
+    ) -> tuple[Vpls, dict]:
+        """Trace about `count` VPLs for what is left to them: the VPLs and the counts of `vpl_pool`, whose `particles` these are."""
         vpls, counts = vpl_pool(
-            scene, points, count, self.bounces, clamp_of, self.seed, self.threads, progress, share=self.shares, batches=BATCHES
+            scene,
+            points,
+            count,
+            self.bounces,
+            clamp_of,
+            self.seed,
+            self.threads,
+            progress,
+            share=self.shares,
+            batches=BATCHES,
+            particles=particles,
         )
         self.g_max = np.float32(clamp_of(vpls, points))
         order = np.argsort(morton_codes(vpls.position), kind="stable") if len(vpls.bounce) else np.zeros(0, np.int64)

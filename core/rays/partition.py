@@ -6,20 +6,23 @@ from typing import NamedTuple
 
 import numpy as np
 
+OBJECT_BITS = 31
+
 
 class Group(NamedTuple):
-    """Triangles begin..end-1 of `Partition.triangle`, all of one visibility."""
+    """Triangles begin..end-1 of `Partition.triangle`, all of one visibility, that move together; object 0 does not."""
 
     begin: int
     end: int
     visibility: int
+    object: int = 0
 
 
 class Partition(NamedTuple):
     """The triangles that rays can meet, grouped.
 
     triangle: (P,) int32, indices into the caller's triangles, ascending within a group.
-    opaque, cutout: the groups of each set, one per distinct visibility.
+    opaque, cutout: the groups of each set, one per distinct visibility (and moving object).
     """
 
     triangle: np.ndarray
@@ -40,14 +43,18 @@ def valid_triangles(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return usable & area
 
 
-def partition(vertices: np.ndarray, triangles: np.ndarray, visibility: np.ndarray, transparent: np.ndarray) -> Partition:
+def partition(
+    vertices: np.ndarray, triangles: np.ndarray, visibility: np.ndarray, transparent: np.ndarray, moving: np.ndarray | None = None
+) -> Partition:
     """Group the triangles that can be hit at all (see `RayScene` for the arguments)."""
     index = np.flatnonzero(valid_triangles(vertices, triangles) & (visibility != 0)).astype(np.int32)
-    key = transparent[index].astype(np.int32) * 256 + visibility[index]
+    key = transparent[index].astype(np.int64) * 256 + visibility[index]
+    key = key << OBJECT_BITS | (0 if moving is None else moving[index])
     order = np.argsort(key, kind="stable")
     index, key = index[order], key[order]
     border = np.concatenate(([0], np.flatnonzero(np.diff(key)) + 1, [len(key)])) if len(key) else np.zeros(1, np.int64)
     sets: tuple[list[Group], list[Group]] = ([], [])
     for begin, end in zip(border[:-1].tolist(), border[1:].tolist()):
-        sets[key[begin] // 256].append(Group(begin, end, int(key[begin] % 256)))
+        kind, which = divmod(int(key[begin]), 1 << OBJECT_BITS)
+        sets[kind // 256].append(Group(begin, end, kind % 256, which))
     return Partition(np.ascontiguousarray(index), *sets)

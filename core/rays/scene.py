@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from ..threads import run_chunks
 from . import packet as pk
 from .bvh import BvhBackend
 from .embree import EmbreeBackend, EmbreeError
-from .partition import partition
+from .partition import partition, valid_triangles
 from .trace import ALL, intersect_packet, occluded_packet
 
 CHUNK = 16384  # rays a chunk of the batch functions; a multiple of the packet width
@@ -26,18 +27,22 @@ class RayScene:
 
     vertices: (V, 3) float32.  triangles: (T, 3) int32.  visibility: (T,) uint8, bits of ray kinds
         (default: all).  transparent: (T,) bool (default: none).
+    moving: (T,) int32, 0 for what keeps its place; triangles of every other number can be moved together (see `move`).
     backend: 'embree', 'bvh', or 'auto': Embree where its wheel is installed.
     Attributes: `tables` for kernels, valid until `close()` and no longer than this object;  `backend`, the name of the one chosen.
     """
 
-    def __init__(self, vertices, triangles, visibility=None, transparent=None, backend: str = "auto", embree_config: str = ""):
+    def __init__(self, vertices, triangles, visibility=None, transparent=None, backend: str = "auto", embree_config: str = "", moving=None):
         vertices = np.ascontiguousarray(vertices, np.float32).reshape(-1, 3)
         triangles = np.ascontiguousarray(triangles, np.int32).reshape(-1, 3)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(vertices):
             raise ValueError("triangles index vertices that do not exist")
         visibility = np.full(len(triangles), ALL_RAYS, np.uint8) if visibility is None else np.asarray(visibility, np.uint8)
         transparent = np.zeros(len(triangles), bool) if transparent is None else np.asarray(transparent, bool)
-        parts = partition(vertices, triangles, visibility, transparent)
+        parts = partition(vertices, triangles, visibility, transparent, moving)
+        self._moving, self._triangles = moving, triangles
+        self._visible, self._listed = visibility != 0, np.zeros(len(triangles), bool)
+        self._listed[parts.triangle] = True
         self.backend = backend
         if backend == "auto":
             try:
@@ -53,6 +58,21 @@ class RayScene:
         else:
             raise ValueError(f"backend {backend!r} is not one of 'auto', 'embree', 'bvh'")
         self.tables = self._impl.tables
+
+    def move(self, vertices: np.ndarray, moved: Collection[int]) -> bool:
+        """Take other places (V, 3) of the vertices, as many as before, which differ for triangles of the numbers `moved` only.
+
+        False, and nothing done, where all must be built anew: without Embree, where one of the numbers is 0 (or all are), and
+        where a triangle has become invalid or valid.
+        """
+        vertices = np.ascontiguousarray(vertices, np.float32).reshape(-1, 3)
+        if self._moving is None or 0 in moved or self.backend != "embree":
+            return False
+        mine = np.isin(self._moving, list(moved))
+        if not np.array_equal(valid_triangles(vertices, self._triangles[mine]) & self._visible[mine], self._listed[mine]):
+            return False
+        self._impl.move(vertices, moved)
+        return True
 
     def close(self) -> None:
         """Release memory at once. `tables` must not be used any more."""

@@ -5,11 +5,15 @@ from __future__ import annotations
 from argparse import Namespace
 from pathlib import Path
 
+import bpy
+
 from ...core.layers import write_exr
 from ..console import Terminal
+from ..contact_sheet import write_contact_sheet
 from ..debug_pictures import write_debug_pictures
 from ..frames import Frame, View, numbered, render_frame
 from ..results import write_json
+from ..sequences import Shot, render_shot
 from ..sources import open_source
 
 
@@ -19,11 +23,30 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     view = View(arguments.camera, arguments.size, arguments.frame)
     if arguments.frames is None:
         _save(render_frame(scene, view, arguments.settings, terminal), arguments.output, arguments.stats, terminal)
-        return
-    for number in arguments.frames:
-        frame = render_frame(scene, view.at(number), arguments.settings, terminal)
+    else:
+        _render_frames(scene, Shot(arguments.frames, view, arguments.settings, arguments.sequence), arguments, terminal)
+
+
+def _render_frames(scene: bpy.types.Scene, shot: Shot, arguments: Namespace, terminal: Terminal) -> None:
+    """The frames of a shot that are wanted, and what is left of all of them."""
+    files = {number: numbered(arguments.output, number) for number in shot.frames}
+    wanted = [number for number, file in files.items() if not (arguments.skip_existing and file.is_file())]
+    rows = [{"frame": number, "file": str(file), "existing": True} for number, file in files.items() if number not in set(wanted)]
+    for number, frame in render_shot(scene, shot, wanted, terminal):
         stats = arguments.stats and numbered(arguments.stats, number)
-        _save(frame, numbered(arguments.output, number), stats, terminal)
+        _save(frame, files[number], stats, terminal)
+        rows.append({"frame": number, "file": str(files[number]), "existing": False, **frame.stats})
+    write_summary(arguments, files, rows)
+
+
+def write_summary(arguments: Namespace, files: dict[int, Path], rows: list[dict]) -> None:
+    """What `--summary` and `--contact-sheet` ask for; rows: one a frame."""
+    if arguments.summary is not None:
+        seconds = [row["seconds_total"] for row in rows if not row["existing"]]
+        rows = sorted(rows, key=lambda row: row["frame"])
+        write_json(arguments.summary, {"frames": len(rows), "rendered": len(seconds), "seconds_total": sum(seconds), "rows": rows})
+    if arguments.contact_sheet is not None:
+        write_contact_sheet(arguments.contact_sheet, list(files.values()))
 
 
 def _save(frame: Frame, output: Path, stats: Path | None, terminal: Terminal) -> None:

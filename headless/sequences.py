@@ -1,0 +1,103 @@
+"""The frames of a sequence in one process, each with what the frames before it left (core.reuse)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import bpy
+
+from ..core.jit import CompileTimer
+from ..core.pipeline import remember, render
+from ..core.reuse import Sequence as Reuse
+from ..core.scene import Scene
+from ..core.settings import RenderSettings, SequenceSettings
+from .console import Terminal
+from .frames import TOPOLOGIES, Frame, View
+from .motion import exposures, moving_objects
+from .sources import extract
+
+
+@dataclass(frozen=True)
+class Shot:
+    """All frames of a sequence.
+
+    frames: their numbers, in order.
+    """
+
+    frames: range
+    view: View = field(default_factory=View)
+    settings: RenderSettings = field(default_factory=RenderSettings)
+    sequence: SequenceSettings = field(default_factory=SequenceSettings)
+
+
+class ShotRenderer:
+    """Renders frames of a shot, in any order, with the same bits as all of them in order.
+
+    A frame needs what the `history` exposures before it found; those that were not computed just before are computed now, without a
+    picture.  Frames in order therefore cost the least.
+    """
+
+    def __init__(self, scene: bpy.types.Scene, shot: Shot, terminal: Terminal):
+        self.scene, self.shot, self.terminal = scene, shot, terminal
+        self._settings = shot.sequence.frame(shot.settings)
+        self._moving = moving_objects(scene)
+        self._reuse: Reuse | None = None
+        self._next = 0  # exposure that would follow without a gap
+
+    def __enter__(self) -> ShotRenderer:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release what is kept."""
+        if self._reuse is not None:
+            self._reuse.close()
+        self._reuse = None
+
+    def frame(self, number: int) -> Frame:
+        """The frame of this number; raises what `pipeline.render` does."""
+        count = self.shot.sequence.motion_blur
+        begin = self.shot.frames.index(number) * count
+        first = max(0, begin - self.shot.sequence.history)
+        if self._reuse is None or not first <= self._next <= begin:
+            self.close()
+            self._reuse = Reuse(self.shot.sequence, moving=self._moving)
+            self._next = first
+        for exposure in range(self._next, begin + count - 1):
+            self._remember(exposure, exposed=exposure >= begin)
+        return self._rendered(number, begin + count - 1)
+
+    def _arrays(self, exposure: int) -> tuple[Scene, float]:
+        """The scene at an exposure, begun, and the seconds that it took."""
+        count = self.shot.sequence.motion_blur
+        time = exposures(self.scene, self.shot.frames[exposure // count], count)[exposure % count]
+        with CompileTimer() as compiling:
+            begin = perf_counter()
+            arrays = extract(self.scene, camera=self.shot.view.camera, size=self.shot.view.size, frame=time)
+            arrays = self._reuse.begin(arrays, exposure)
+            seconds = perf_counter() - begin
+        self._next = exposure + 1
+        return arrays, seconds - compiling.seconds
+
+    def _remember(self, exposure: int, *, exposed: bool) -> None:
+        arrays, _ = self._arrays(exposure)
+        with self.terminal.progress() as progress:
+            remember(arrays, self._settings, self._reuse, progress, exposed=exposed, topologies=TOPOLOGIES)
+
+    def _rendered(self, number: int, exposure: int) -> Frame:
+        arrays, seconds = self._arrays(exposure)
+        with self.terminal.progress() as progress:
+            result = render(arrays, self._settings, progress, extraction_seconds=seconds, topologies=TOPOLOGIES, sequence=self._reuse)
+        result.stats["frame"] = number
+        return Frame(arrays, result.layers, result.stats)
+
+
+def render_shot(scene: bpy.types.Scene, shot: Shot, wanted: Sequence[int], terminal: Terminal) -> Iterator[tuple[int, Frame]]:
+    """Render the `wanted` frames of a shot one after the other."""
+    with ShotRenderer(scene, shot, terminal) as renderer:
+        for number in wanted:
+            yield number, renderer.frame(number)

@@ -1,0 +1,95 @@
+"""Frames of a sequence as files: a part of them has the same bits as all, and a killed job goes on."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+
+from lumigate import sample_scenes
+from lumigate.core.layers import read_exr
+from lumigate.headless import arguments
+from lumigate.headless.cli import main
+from lumigate.headless.motion import exposures, moving_objects
+
+SMALL = ["--size", "24x16", "--vpls", "16", "--pixel-samples", "2", "--bounces", "2", "--no-denoise", "--history", "2"]
+
+
+@pytest.fixture(scope="module")
+def animated(tmp_path_factory):
+    """The Cornell box with a moving block and a moving camera, in a file."""
+    path = tmp_path_factory.mktemp("animated") / "scene.blend"
+    scene = sample_scenes.build("cornell")
+    block = next(ob for ob in scene.objects if ob.type == "MESH")
+    for ob, axis in ((block, 0), (scene.camera, 2)):
+        ob.keyframe_insert("location", frame=1)
+        ob.location[axis] += 0.3
+        ob.keyframe_insert("location", frame=6)
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(animated, tmp_path_factory):
+    """All its frames, with summary and contact sheet."""
+    folder = tmp_path_factory.mktemp("whole")
+    extra = ["--summary", str(folder / "all.json"), "--contact-sheet", str(folder / "all.png")]
+    assert main(["render", str(animated), "-o", str(folder / "f.exr"), "--frames", "1-6", *SMALL, *extra]) == 0
+    return folder
+
+
+def test_summary_and_contact_sheet(whole):
+    summary = json.loads((whole / "all.json").read_text())
+    assert [row["frame"] for row in summary["rows"]] == [1, 2, 3, 4, 5, 6]
+    assert summary["rendered"] == 6
+    assert (whole / "all.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_killed_job_goes_on_with_the_same_bits(animated, whole, tmp_path):
+    for number in (1, 2, 5):
+        (tmp_path / f"f000{number}.exr").write_bytes((whole / f"f000{number}.exr").read_bytes())
+    before = (tmp_path / "f0005.exr").stat().st_mtime_ns
+    extra = ["--skip-existing", "--summary", str(tmp_path / "s.json"), "--frames", "1-6"]
+    assert main(["render", str(animated), "-o", str(tmp_path / "f.exr"), *SMALL, *extra]) == 0
+    assert [row["existing"] for row in json.loads((tmp_path / "s.json").read_text())["rows"]] == [True, True, False, False, True, False]
+    assert (tmp_path / "f0005.exr").stat().st_mtime_ns == before
+    for number in (3, 4, 6):
+        ours, theirs = (read_exr(folder / f"f000{number}.exr") for folder in (tmp_path, whole))
+        for name in ours:
+            np.testing.assert_array_equal(ours[name], theirs[name], err_msg=f"{name} of frame {number}")
+
+
+def test_steps(animated, tmp_path):
+    assert main(["render", str(animated), "-o", str(tmp_path / "f.exr"), "--frames", "1-6:4", *SMALL]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["f0001.exr", "f0005.exr"]
+
+
+def test_motion_blur_smears_what_moves(animated, tmp_path):
+    for count in ("1", "3"):
+        argv = ["render", str(animated), "-o", str(tmp_path / f"m{count}.exr"), "--frames", "3-3", "--motion-blur", count, *SMALL]
+        assert main(argv) == 0
+    still, blurred = (read_exr(tmp_path / f"m{count}0003.exr")["Albedo"] for count in "13")
+    assert 0.001 < np.abs(still - blurred).mean() < 0.2
+    assert abs(still.mean() / blurred.mean() - 1) < 0.1
+
+
+def test_what_moves_is_known(animated):
+    bpy.ops.wm.open_mainfile(filepath=str(animated))
+    assert len(moving_objects(bpy.context.scene)) == 1
+    bpy.context.scene.render.motion_blur_shutter = 0.5
+    bpy.context.scene.render.motion_blur_position = "CENTER"
+    assert exposures(bpy.context.scene, 4, 2) == [3.875, 4.125]
+
+
+@pytest.mark.parametrize("extra", [["--history", "3"], ["--skip-existing"], ["--contact-sheet", "x.png"]])
+def test_options_of_sequences_need_frames(extra, capsys):
+    with pytest.raises(SystemExit):
+        arguments.parse(["render", "cornell", "-o", "x.exr", *extra])
+    assert f"{extra[0]} belongs to --frames" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["1-6:0", "6-1", "1-", "a-b"])
+def test_bad_ranges_are_told(text, capsys):
+    with pytest.raises(SystemExit):
+        arguments.parse(["render", "cornell", "-o", "x.exr", "--frames", text])
+    assert capsys.readouterr().err.count("\n") == 1
