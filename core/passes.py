@@ -1,11 +1,11 @@
-"""How many passes a picture takes: until a time is used up, or until its own error estimate is small enough.
+"""The passes of a picture, and the error of their mean as they tell it themselves.
 
-The error is estimated from pictures that are independent of each other.  With A denoised and B and C as they are,
+Passes are independent of each other, and are dealt to three groups.  With A a denoised group, B and C the others as they are,
 
-    relMSE(A) = mean over pixels of (A - B) (A - C) / (reference^2 + 0.01 mean(reference)^2),
+    relMSE(A) = mean over pixels of (A - B) (A - C) / (D^2 + 0.01 mean(D)^2),
 
-in expectation, whatever the denoiser blurs away: the noise of B and C cancels, what is wrong with A stays.  The
-mean of all passes is better than A, which has a third of them.
+in expectation, whatever the denoiser blurs away: the noise of B and C cancels, what is wrong with A stays.  D is the denoised mean of all.
+Pixels of B and C far brighter than D are cut: that changes the mean of the product little, and its noise much.
 """
 
 from __future__ import annotations
@@ -19,38 +19,22 @@ from .metrics import FLOOR
 from .picture import Picture
 
 GROUPS = 3
-# Quality of a pass: 1 is that of a picture without budget; its samples and its time go with it.
-LEAST, MOST = 0.25, 8.0
-LARGE_PICTURE = 500_000  # pixels above which passes are not made larger than 1, for their memory
-MOST_PASSES = 256
-PASS, DENOISING = 4e-5, 4e-6  # seconds a pixel (and a thread) of a pass of quality 1 and of denoising, as a first guess
-BEGIN = 0.35  # of a time budget, for the pass that tells how long others take
-# A pass of twice the quality is worth more than two: its cache of light and its pool of VPLs are larger.
-WORTH = 1.5
-# Error of a picture by its worth: a denoised one's falls more slowly than noise does.
-SLOPE = 0.25
+# relMSE falls with samples to the power of -SLOPE (of nine scenes: -0.29 to -0.83), raw noise by -1.
+SLOPE = 0.5
+# What all passes have in common, as the resolution of their caches, they cannot see: the error of nine scenes is so much larger (median).
+UNSEEN = 1.36
+BRIGHTEST, DARK = 6.0, 0.2  # times D and its mean: where B and C are cut
+SMALL_PICTURE = 100_000  # pixels below which each group is A in turn, for one alone is not certain enough
 
 
 @dataclass
 class Passes:
-    """The passes of one picture, dealt to three groups.
+    """The passes of one picture, dealt to three groups; threads: of the denoiser."""
 
-    time_budget: seconds, target_error: relMSE; without either there is one pass of quality 1.  pixels: of the picture.
-    """
-
-    time_budget: float | None
-    target_error: float | None
-    pixels: int
     threads: int
     groups: list[Picture | None] = field(default_factory=lambda: [None] * GROUPS)
     count: int = 0
     estimate: float | None = None
-
-    def first(self) -> float:
-        """Quality of the first pass."""
-        if self.time_budget is not None:
-            return min(1.0, max(LEAST, BEGIN * self.time_budget * self.threads / (PASS * self.pixels)))
-        return 1.0 if self.target_error is None else 0.5
 
     def add(self, picture: Picture) -> None:
         """Deal one more pass to the next group."""
@@ -67,36 +51,29 @@ class Passes:
             whole = whole.blend(part)
         return whole
 
-    def next(self, elapsed: float, last: float, quality: float, denoiser: Denoiser | None) -> float | None:
-        """Quality of the next pass, None where no more is wanted.
-
-        elapsed: seconds since the render began; last: of the last pass, which had `quality`.
-        """
-        most = MOST if self.pixels < LARGE_PICTURE else 1.0
-        if self.count >= MOST_PASSES:
-            return None
-        if self.time_budget is not None:
-            left = self.time_budget - elapsed - (DENOISING * self.pixels if denoiser else 0.0)
-            fits = left / max(last / quality, 1e-9)
-            # Equal parts, rather than a last one that is too small to be worth its fixed costs.
-            return fits / np.ceil(fits / most) if fits >= LEAST else None
-        if self.target_error is None:
-            return None
-        if self.count % GROUPS:
-            return quality
-        return None if self.error(denoiser) <= self.target_error else min(most, 2 * quality)
+    @property
+    def weight(self) -> float:
+        """Of all passes."""
+        return sum(group.weight for group in self.groups if group is not None)
 
     def error(self, denoiser: Denoiser | None) -> float:
         """Estimated relMSE of the indirect light of `picture`, denoised if there is a denoiser; NaN with less than three passes."""
         if any(group is None for group in self.groups):
             return float("nan")
-        clean = [group.denoised(denoiser, self.threads, direct=False) if denoiser else group for group in self.groups]
-        reference = sum(picture.indirect.astype(np.float64) for picture in clean) / GROUPS
-        scale = reference**2 + FLOOR * reference.mean() ** 2
+        whole = self._clean(self.picture, denoiser)
+        scale = whole**2 + FLOOR * whole.mean() ** 2
+        limit = BRIGHTEST * (whole + DARK * whole.mean()) if denoiser else np.inf
         errors = []
-        for k in range(GROUPS):
-            a, b, c = (part.indirect.astype(np.float64) for part in (clean[k], self.groups[k - 1], self.groups[k - 2]))
-            share = self.groups[k].weight / self.picture.weight
-            errors.append(((a - b) * (a - c) / scale).mean() * share ** (SLOPE if denoiser else 1.0))
+        for k in range(GROUPS if whole.shape[0] * whole.shape[1] < SMALL_PICTURE else 1):
+            a = self._clean(self.groups[k], denoiser)
+            b, c = (np.minimum(self.groups[j].indirect, limit) for j in (k - 1, k - 2))
+            share = self.groups[k].weight / self.weight
+            product = np.divide((a - b) * (a - c), scale, out=np.zeros_like(scale), where=scale > 0)
+            errors.append(product.mean() * (UNSEEN * share**SLOPE if denoiser else share))
         self.estimate = max(0.0, float(np.mean(errors)))
         return self.estimate
+
+    def _clean(self, picture: Picture, denoiser: Denoiser | None) -> np.ndarray:
+        """Its indirect light (H, W, 3), denoised if there is a denoiser, in double precision."""
+        clean = picture.denoised(denoiser, self.threads, direct=False) if denoiser else picture
+        return clean.indirect.astype(np.float64)

@@ -25,11 +25,13 @@ from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_
 from .methods.virtual_area_lights import VirtualAreaLights
 from .methods.visibility_gates import VisibilityGates
 from .particles import Vpls, trace_particles
-from .passes import WORTH, Passes
+from .passes import Passes
 from .picture import Picture, nearest_triangles, splat
+from .planning.machine import cached_machine
+from .planning.planner import Planner
 from .reuse import Sequence
 from .reuse.sequence import ray_scene
-from .scene import AREA, POINT, SPOT, Scene, Skipped
+from .scene import AREA, POINT, SPOT, Camera, Scene, Skipped
 from .settings import RenderSettings
 from .threads import Cancelled, thread_count
 from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, reachable_vpls, rooms_seen, without_emitters
@@ -44,6 +46,7 @@ StageProgress = Callable[[str, float], bool]
 AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "virtual-area-lights", "visibility-gates", "importance-sampling")
 TURN = 32452843  # between the seeds of a sequence's turns
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
+LOADED: set[str] = set()  # methods whose kernels this process has in memory, which the first pass of one pays for
 
 
 @dataclass
@@ -67,6 +70,7 @@ class Run:
     vpls: int = 0
     clusters: FuzzyClustering | VirtualAreaLights | VisibilityGates | None = None  # whose clusters the debug layers show
     topology: Topology | None = None
+    planner: Planner | None = None
     debug: dict[str, np.ndarray] = field(default_factory=dict)
     sequence: Sequence | None = None
     turn: int = 0  # which part of the random sequence of the shading points' rays
@@ -107,17 +111,19 @@ def render(
         SceneError: the scene cannot be rendered with these settings.
         core.threads.Cancelled: `progress` returned False.
     """
-    settings = settings.with_defaults()
+    automatic, settings = settings.method == "auto", settings.with_defaults()
     begin = time.perf_counter()
-    if sequence is not None:
-        denoiser = sequence.denoiser if settings.denoise else None
-        return _render(scene, settings, denoiser, progress, extraction_seconds, begin, topologies, sequence)
-    denoiser = Denoiser() if settings.denoise else None
+    denoiser = None
+    if settings.denoise:
+        denoiser = Denoiser() if sequence is None else sequence.denoiser
     try:
-        return _render(scene, settings, denoiser, progress, extraction_seconds, begin, topologies, None)
+        result = _render(scene, settings, denoiser, progress, extraction_seconds, begin, topologies, sequence)
     finally:  # a cancelled render must not leave the library's threads behind
-        if denoiser:
+        if denoiser and sequence is None:
             denoiser.close()
+    if not automatic:
+        del result.stats["auto"]
+    return result
 
 
 def remember(
@@ -161,7 +167,7 @@ def _render(
     threads = thread_count(settings.threads)
 
     def elapsed() -> float:
-        return extraction_seconds + time.perf_counter() - begin - run.seconds.get("jit", 0.0)
+        return extraction_seconds + time.perf_counter() - begin - run.seconds.get("jit", 0.0) - run.seconds.get("calibration", 0.0)
 
     if denoiser and denoiser.warning:
         run.warnings.append(denoiser.warning)
@@ -186,6 +192,7 @@ def _render(
         "vpls": run.vpls,
         "bounces": settings.bounces,
         "threads": threads,
+        "auto": run.planner.stats(),
         "passes": passes.count,
         "error_estimate": passes.estimate,
         "seconds": run.seconds,
@@ -196,6 +203,35 @@ def _render(
         "warnings": run.warnings,
     }
     return RenderResult(layers, stats)
+
+
+def _planner(run: Run, settings: RenderSettings, pixels: int, threads: int) -> Planner:
+    """Who decides the passes; what this machine can do is only asked where there is something to be reached."""
+    machine = None
+    if settings.time_budget is not None:
+        begin = time.perf_counter()
+        machine, measured = cached_machine(threads)
+        if measured:  # once a machine: apart from the render, as compilation is
+            run.seconds["calibration"] = time.perf_counter() - begin
+    return Planner(settings, pixels, machine, images=3 if settings.wants("Direct", "Combined") else 2, cold=settings.method not in LOADED)
+
+
+def _fly(
+    run: Run, planner: Planner, scene: Scene, tables: Transport, denoiser: Denoiser | None, threads: int, elapsed: Callable[[], float]
+) -> None:
+    """The planner's pilot, whose time is a stage of its own, and whose counts are not the render's."""
+    trial = Run(run.progress, topology=run.topology)
+
+    def work(camera: Camera, settings: RenderSettings) -> Picture:
+        return _pass(trial, replace(scene, camera=camera), tables, settings, threads, 1.0)
+
+    def clock() -> float:
+        return elapsed() - trial.seconds.get("jit", 0.0)
+
+    begin = clock()
+    planner.fly(scene.camera, work, denoiser, clock)
+    run.seconds["pilot"] = clock() - begin
+    run.seconds["jit"] = run.seconds.get("jit", 0.0) + trial.seconds.get("jit", 0.0)
 
 
 def _passes(
@@ -209,14 +245,16 @@ def _passes(
 ) -> Passes:
     """All passes of a picture, and those that stand for the frames before the first one of a sequence."""
     with prepared(run, scene, settings, threads, topologies) as tables:
-        camera = scene.camera
-        pixels = (camera.border[2] - camera.border[0]) * (camera.border[3] - camera.border[1])
-        passes = Passes(settings.time_budget, settings.target_error, pixels, threads)
-        quality = passes.first()
+        planner = run.planner = _planner(run, settings, _pixels(scene.camera), threads)
+        _fly(run, planner, scene, tables, denoiser, threads, elapsed)
+        passes = Passes(threads)
+        quality = planner.first(elapsed())
         while quality is not None:
             start = elapsed()
-            passes.add(_pass(run, scene, tables, settings.scaled(quality, passes.count), threads, quality**WORTH))
-            quality = passes.next(elapsed(), elapsed() - start, quality, denoiser)
+            passes.add(_pass(run, scene, tables, settings.scaled(quality, passes.count), threads, quality))
+            planner.observe(quality, elapsed() - start)
+            with run.stage("plan"):
+                quality = planner.next(elapsed(), passes, denoiser)
         if run.sequence:
             for turn in run.sequence.first_turns:
                 run.turn = turn
@@ -261,6 +299,12 @@ def light_points(
     return first, indirect
 
 
+def _pixels(camera: Camera) -> int:
+    """Of the part that is rendered."""
+    x0, y0, x1, y1 = camera.border
+    return (x1 - x0) * (y1 - y0)
+
+
 def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, threads: int, weight: float) -> Picture:
     """One picture of the view, its samples, VPLs and caches independent of those of other seeds."""
     with run.stage("view") as tick:
@@ -292,6 +336,7 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
             run.debug = single_lights(tables, vpls, points, seen.shape, threads)
             if run.clusters is not None:
                 run.debug |= run.clusters.debug_layers(points, seen.shape)
+    LOADED.add(settings.method)
     picture = Picture.compose(seen, direct, indirect, highlights + mirrored.direct, mirrored.indirect, mirrored.albedo, weight)
     return replace(picture, triangle=nearest_triangles(seen)) if run.sequence else picture
 

@@ -54,8 +54,11 @@ def option(default: Any, label: str, help: str, **more: Any) -> Any:
     return field(default=default, metadata={"option": Option(label, help, **more)})
 
 
+# relMSE that `auto` aims at for the name of a quality: for a first look, for work, and for the last picture.
+QUALITY_ERRORS = {"preview": 0.05, "medium": 0.02, "final": 0.005}
+
 METHOD_CHOICES = (
-    Choice("auto", "Automatic", "The most accurate method: importance sampling"),
+    Choice("auto", "Automatic", "Method and numbers by what is aimed at: a quality, a time or an error"),
     Choice(
         "importance-sampling",
         "Importance Sampling",
@@ -84,7 +87,7 @@ class RenderSettings:
     pixel_samples: primary samples a pixel.  direct_samples: shadow rays a shading point for `Direct`.
     reflections: most rays drawn from the glossy lobe of a shading point.
     direct_samples, reflections, denoise: None lets the method choose (see `with_defaults`).  time_budget: seconds;
-    target_error: relMSE.
+    target_error: relMSE.  quality: a key of `QUALITY_ERRORS`, which `auto` takes for its target error where neither is given.
     layers: names of the layers wanted (None: all of the contract).
     """
 
@@ -110,6 +113,7 @@ class RenderSettings:
         most=1,
         usual=0.1,
     )
+    quality: str | None = None
     debug_layers: bool = option(False, "Debug Layers", "Also give clusters and the light of single VPLs, one layer each")
     layers: tuple[str, ...] | None = None
 
@@ -197,11 +201,14 @@ class RenderSettings:
     def with_defaults(self) -> RenderSettings:
         """The same request with nothing left open: a denoised picture needs fewer samples than one that is not."""
         method = "importance-sampling" if self.method == "auto" else self.method
+        goal = self.target_error
+        if self.method == "auto" and self.time_budget is None and goal is None and self.quality is not None:
+            goal = QUALITY_ERRORS[self.quality]
         sampled = method == "importance-sampling"
         denoise = sampled if self.denoise is None else self.denoise
         choice = {"direct_samples": (4, 16), "reflections": (2, 8)}
         open_ = {name: few if sampled else many for name, (few, many) in choice.items() if getattr(self, name) is None}
-        return replace(self, method=method, denoise=denoise, **open_)
+        return replace(self, method=method, denoise=denoise, target_error=goal, **open_)
 
     def wants(self, *names: str) -> bool:
         """Whether any of these layers is asked for."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .. import __version__, sample_scenes
-from ..core.settings import RenderSettings
+from ..core.settings import QUALITY_ERRORS, RenderSettings
 from .argument_types import count, positive, size_or_none
 from .bake_arguments import add_bake_settings
 from .outputs import OutputError, check_file, check_folder
@@ -289,6 +289,8 @@ def _add_render_settings(parser: Parser) -> None:
     budget = parser.add_mutually_exclusive_group()
     budget.add_argument("--time-budget", type=positive, metavar="SECONDS", **keep, help="use as many samples as fit in this time")
     budget.add_argument("--target-error", type=positive, metavar="E", **keep, help="stop at this relMSE")
+    names = ", ".join(f"{name} {error:g}" for name, error in QUALITY_ERRORS.items())
+    budget.add_argument("--quality", choices=tuple(QUALITY_ERRORS), **keep, help=f"of --method auto: the target error by name ({names})")
     add("--debug-layers", action="store_true", **keep, help="also write clusters, gates and the light of single VPLs")
 
 
@@ -328,6 +330,8 @@ def _render_settings(parser: Parser, given: dict) -> RenderSettings:
                 settings = replace(settings, method=method)
             elif settings.method != method:
                 parser.error(f"{option.flag} belongs to --method {method}, not to {settings.method}")
+    if settings.quality is not None and settings.method != "auto":
+        parser.error(f"--quality belongs to --method auto, not to {settings.method}; give it a --target-error")
     return settings
 
 

@@ -1,0 +1,59 @@
+"""Seconds of a pass, as they follow from what was seen of this scene and, before that, of this machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .machine import Machine
+
+# What a pass of quality 1 costs on scenes of middling difficulty, in rays of `Machine.ray`: the first of a process, which loads its
+# kernels, the beginning of any, and each pixel.
+LOADING_RAYS, BEGIN_RAYS, PIXEL_RAYS = 450_000.0, 400_000.0, 55.0
+# How much the proportions of the first guesses count beside one pass that was seen, and how much the guesses themselves.
+TRUST, FAITH = 0.002, 1e-6
+LEAST_PART = 0.02  # of a first guess: nothing is free
+
+
+@dataclass
+class PassCost:
+    """seconds(pixels, quality) = begin + each * pixels * quality, fitted to the passes seen so far.
+
+    guess: (3,) seconds of loading the kernels (0 where they are loaded), of a pass's beginning, and of one pixel of quality 1.
+    """
+
+    guess: np.ndarray
+    fitted: np.ndarray = field(init=False)
+    seen: list[tuple[float, float]] = field(default_factory=list)  # (pixels * quality, seconds)
+
+    def __post_init__(self) -> None:
+        self.fitted = self.guess.copy()
+
+    @classmethod
+    def of(cls, machine: Machine, cold: bool) -> PassCost:
+        """A first guess, from the machine alone; cold: whether this process has still to load the kernels."""
+        return cls(np.array([cold * LOADING_RAYS, BEGIN_RAYS / machine.threads, PIXEL_RAYS / machine.threads]) * machine.ray)
+
+    def observe(self, pixels: int, quality: float, seconds: float) -> None:
+        """Note a pass, and fit again: least squares of relative errors, in units of the guesses."""
+        self.seen.append((pixels * quality, seconds))
+        loading, begin, each = self.guess
+        rows = [np.array([loading if k == 0 else 0.0, begin, each * work]) / taken for k, (work, taken) in enumerate(self.seen)]
+        # Loading is the machine's alone; a slow scene is slow in both of the others, whose proportion is held to.
+        rows += [TRUST**0.5 * np.array(row) for row in ((1.0, 0.0, 0.0), (0.0, 1.0, -1.0))]
+        rows += [FAITH**0.5 * row for row in np.eye(3)]
+        wanted = [1.0] * len(self.seen) + [TRUST**0.5, 0.0] + [FAITH**0.5] * 3
+        self.fitted = np.maximum(np.linalg.lstsq(np.array(rows), np.array(wanted), rcond=None)[0], LEAST_PART) * self.guess
+
+    def seconds(self, pixels: int, quality: float) -> float:
+        """Predicted seconds of the next pass."""
+        return self._begin + self.fitted[2] * pixels * quality
+
+    def quality(self, pixels: int, seconds: float) -> float:
+        """The quality whose pass takes so long; negative where not even the beginning fits."""
+        return (seconds - self._begin) / (self.fitted[2] * pixels)
+
+    @property
+    def _begin(self) -> float:
+        return self.fitted[1] + (0.0 if self.seen else self.fitted[0])

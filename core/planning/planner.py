@@ -1,0 +1,199 @@
+"""Method and numbers of one render, by what is asked for: a time, an error, or neither.
+
+A budget is spent on few large passes, of which the first tells what the others cost.  A target is reached in rounds of three passes, whose own
+estimate (`core.passes`) tells how many more samples are missing; nothing there depends on the clock, so that the same seed gives the same
+picture.  Either may begin with a pilot: the same scene in a picture so small that it costs next to nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from ..denoise import Denoiser
+from ..passes import GROUPS, SLOPE, Passes
+from ..picture import Picture
+from ..scene import Camera
+from ..settings import RenderSettings
+from .cost import PassCost
+from .machine import Machine
+
+# Quality of a pass: 1 is that of a picture without budget; its samples and its time go with it.
+LEAST, MOST = 0.125, 8.0
+LARGE_PICTURE = 500_000  # pixels above which passes are not made larger than 1, for their memory
+MOST_PASSES = 256
+BLIND = 0.25  # of a budget, for the first pass where only the machine is known
+INFORMED = 0.55  # where there was a pilot
+FULL = 0.97  # of a budget is planned: predictions are not exact
+LEAP = 4.0  # most by which a pass is better than the one before: what it costs is not known further ahead
+PILOT_PIXELS, PILOT_QUALITY = 8_000, 0.25
+PILOT_SHARE = 0.07  # of a budget, at most
+SMALLER = 6  # times as many pixels as the pilot has make it worth while
+# relMSE of a picture by that of one of fewer pixels and as many samples in each: the denoiser has more to go by.
+SIZE_SLOPE = 0.15
+NEAR_ENOUGH = 1.15  # times the target
+GROWTH = 6.0  # most by which the samples grow in a round: the slope is not exact
+
+
+@dataclass
+class Planner:
+    """Decides the passes of one render, and keeps what it saw and why it chose.
+
+    settings: with nothing left open.  pixels: of the picture.  images: that the denoiser is given in the end.
+    cold: this process has still to load the kernels.
+    """
+
+    settings: RenderSettings
+    pixels: int
+    machine: Machine | None
+    images: int = 2
+    cold: bool = False
+    cost: PassCost | None = None
+    passes: list[dict] = field(default_factory=list)
+    reasons: list[str] = field(default_factory=list)
+    pilot: dict | None = None
+
+    def __post_init__(self) -> None:
+        if self.machine is not None:
+            self.cost = PassCost.of(self.machine, self.cold)
+
+    @property
+    def most(self) -> float:
+        """Largest quality of a pass."""
+        return MOST if self.pixels < LARGE_PICTURE else 1.0
+
+    @property
+    def finishing(self) -> float:
+        """Seconds from the last pass to the layers."""
+        return self.machine.denoising(self.pixels, self.images) if self.settings.denoise else 0.0
+
+    def pilot_passes(self) -> int:
+        """How many passes of a pilot are worth their time: one tells the cost, three the error, none where the picture is small itself."""
+        if self.pixels < SMALLER * PILOT_PIXELS:
+            return 0
+        if self.settings.target_error is not None:
+            return GROUPS
+        budget = self.settings.time_budget
+        fits = budget is not None and self.cost.seconds(PILOT_PIXELS, PILOT_QUALITY) <= PILOT_SHARE * budget
+        return int(fits)
+
+    def fly(self, camera: Camera, run: Callable[[Camera, RenderSettings], Picture], denoiser: Denoiser | None, clock: Callable[[], float]):
+        """Run the pilot: `run` renders a smaller picture of the view.  Seconds are those of `clock`."""
+        count = self.pilot_passes()
+        if not count:
+            return
+        small = reduced(camera, (self.pixels / PILOT_PIXELS) ** 0.5)
+        found, begin = Passes(self.settings.threads), clock()
+        for k in range(count):
+            start = clock()
+            picture = run(small, self.settings.scaled(PILOT_QUALITY, MOST_PASSES + k))
+            found.add(replace(picture, weight=PILOT_QUALITY))
+            if self.cost:
+                self.cost.observe(picture.depth.size, PILOT_QUALITY, clock() - start)
+        height, width = picture.depth.shape
+        self.pilot = {"size": [width, height], "quality": PILOT_QUALITY, "passes": count}
+        if count == GROUPS:
+            self.pilot["error"] = found.error(denoiser)
+        self.pilot["seconds"] = clock() - begin
+
+    def first(self, elapsed: float) -> float:
+        """Quality of the first pass."""
+        settings = self.settings
+        if settings.time_budget is not None:
+            return self._first_of_budget(settings.time_budget - elapsed - self.finishing)
+        if settings.target_error is None:
+            self.reasons.append("neither a time nor an error was asked for: one pass with the numbers as they are")
+            return 1.0
+        if not (self.pilot and self.pilot["error"] > 0):
+            self.reasons.append("the picture is small: three passes with the fewest samples tell its error")
+            return LEAST
+        small = self.pilot["error"] * (self.pixels / math.prod(self.pilot["size"])) ** -SIZE_SLOPE
+        quality = self._bounded(PILOT_QUALITY * (small / settings.target_error) ** (1 / SLOPE))
+        self.reasons.append(
+            f"the pilot's relMSE is {self.pilot['error']:.2g}: three passes of quality {quality:.3g} should have {settings.target_error:.2g}"
+        )
+        return quality
+
+    def _first_of_budget(self, left: float) -> float:
+        least = self.cost.seconds(self.pixels, LEAST)
+        whole = self.cost.quality(self.pixels, left)
+        quality = self._bounded(self.cost.quality(self.pixels, (INFORMED if self.pilot else BLIND) * left))
+        if least > left:
+            self.reasons.append(
+                f"the smallest pass takes about {least:.2g} s, and {max(left, 0):.2g} s of the time are left: one of it alone"
+            )
+            return LEAST
+        known = "the pilot" if self.pilot else "the machine"
+        self.reasons.append(f"by {known}, passes of quality {max(whole, LEAST):.2g} in all fit; the first of {quality:.3g} tells more")
+        return quality
+
+    def observe(self, quality: float, seconds: float) -> None:
+        """Note a pass that was made."""
+        done = {"quality": quality, "seconds": seconds}
+        if self.cost:
+            done["predicted"] = self.cost.seconds(self.pixels, quality)
+            self.cost.observe(self.pixels, quality, seconds)
+        self.passes.append(done)
+
+    def next(self, elapsed: float, passes: Passes, denoiser: Denoiser | None) -> float | None:
+        """Quality of the next pass, None where no more is wanted; elapsed: seconds since the render began."""
+        if passes.count >= MOST_PASSES:
+            return None
+        if self.settings.time_budget is not None:
+            return self._next_of_budget(FULL * self.settings.time_budget - elapsed - self.finishing)
+        if self.settings.target_error is None:
+            return None
+        if passes.count % GROUPS:
+            return self.passes[-1]["quality"]
+        return self._next_round(passes, passes.error(denoiser))
+
+    def _next_of_budget(self, left: float) -> float | None:
+        whole = self.cost.quality(self.pixels, left)
+        if whole < LEAST:
+            self._say_when_over(left)
+            return None
+        # Equal parts, rather than a last one that is too small to be worth its fixed costs.
+        parts = math.ceil(whole / self.most)
+        return self._bounded(min(self.cost.quality(self.pixels, left / parts), LEAP * self.passes[-1]["quality"]))
+
+    def _say_when_over(self, left: float) -> None:
+        if left < -(1 - FULL) * self.settings.time_budget and len(self.passes) == 1 and self.passes[0]["quality"] == LEAST:
+            self.reasons.append("even the smallest picture takes longer than the time given: ask for fewer pixels")
+
+    def _next_round(self, passes: Passes, error: float) -> float | None:
+        target = self.settings.target_error
+        if error <= NEAR_ENOUGH * target:
+            if error < target / 1.5 and passes.count == GROUPS and self.passes[0]["quality"] == LEAST:
+                self.reasons.append("the smallest possible picture has a smaller error than asked for")
+            return None
+        more = min(GROWTH, (error / target) ** (1 / SLOPE)) - 1
+        quality = self._bounded(more * passes.weight / GROUPS)
+        self.reasons.append(f"after {passes.count} passes the estimate is {error:.2g}: three more of quality {quality:.3g}")
+        return quality
+
+    def _bounded(self, quality: float) -> float:
+        """Steps of LEAST, between the bounds: rays are whole."""
+        return min(self.most, max(LEAST, math.floor(quality / LEAST + 1e-6) * LEAST))
+
+    def stats(self) -> dict:
+        """What was chosen and why, for `--stats`."""
+        goals = {name: getattr(self.settings, name) for name in ("time_budget", "target_error")}
+        machine = None if self.machine is None else vars(self.machine)
+        return {
+            "method": self.settings.method,
+            "goal": {name: value for name, value in goals.items() if value is not None},
+            "machine": machine,
+            "pilot": self.pilot,
+            "passes": self.passes,
+            "reasons": self.reasons,
+        }
+
+
+def reduced(camera: Camera, factor: float) -> Camera:
+    """The same view in a picture with `factor` times fewer pixels along each side, one at least."""
+    width, height = (max(1, round(side / factor)) for side in (camera.width, camera.height))
+    scale = width / camera.width, height / camera.height
+    x0, y0, x1, y1 = (round(value * scale[k % 2]) for k, value in enumerate(camera.border))
+    x0, y0 = min(x0, width - 1), min(y0, height - 1)
+    return replace(camera, width=width, height=height, border=(x0, y0, max(x1, x0 + 1), max(y1, y0 + 1)))

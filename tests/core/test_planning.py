@@ -1,0 +1,155 @@
+"""What is chosen for a time, an error or neither, and whether it holds."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lumigate.core.passes import GROUPS, Passes
+from lumigate.core.picture import Picture
+from lumigate.core.pipeline import render
+from lumigate.core.planning.cost import PassCost
+from lumigate.core.planning.machine import Machine, cached_machine
+from lumigate.core.planning.planner import LEAST, MOST, PILOT_PIXELS, Planner, reduced
+from lumigate.core.settings import QUALITY_ERRORS, RenderSettings
+
+MACHINE = Machine(ray=1e-6, denoiser=0.01, denoiser_pixel=1e-6, threads=2)
+
+
+def picture(indirect, weight=1.0):
+    """A picture of diffuse indirect light alone."""
+    zero, one = np.zeros_like(indirect), np.ones_like(indirect)
+    return Picture(zero, indirect, zero, one, zero, one, one, one, zero, zero[..., 0], weight)
+
+
+def noisy(variance, seed):
+    """A small picture of ones with noise of a variance."""
+    return (1 + variance**0.5 * np.random.default_rng(seed).standard_normal((24, 32, 3))).astype(np.float32)
+
+
+@pytest.mark.parametrize("slow", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("seconds", [1.0, 3.0, 10.0, 100.0])
+def test_time_is_used_up_and_not_overrun(seconds, slow):
+    # A scene whose passes take .1 s and 2 s for each unit of quality, or some times as long.
+    planner = Planner(RenderSettings(time_budget=seconds).with_defaults(), 40_000, MACHINE, cold=True)
+    passes, elapsed, loading = Passes(1), 0.1, 0.4
+    quality = planner.first(elapsed)
+    while quality is not None:
+        assert LEAST <= quality <= MOST
+        took = loading + slow * (0.1 + 2 * quality)
+        elapsed, loading = elapsed + took, 0.0
+        planner.observe(quality, took)
+        passes.add(picture(noisy(0.01, 0), quality))
+        quality = planner.next(elapsed, passes, None)
+    smallest = slow * (0.1 + 2 * LEAST)
+    assert elapsed + planner.finishing > min(0.85 * seconds, seconds - 1.5 * smallest)
+    assert elapsed + planner.finishing < 1.1 * seconds or passes.count == 1
+
+
+def test_what_cannot_fit_is_said():
+    planner = Planner(RenderSettings(time_budget=0.1).with_defaults(), 1_000_000, MACHINE)
+    assert planner.first(0.05) == LEAST
+    planner.observe(LEAST, 5.0)
+    assert planner.next(5.0, Passes(1), None) is None
+    assert "fewer pixels" in planner.stats()["reasons"][-1]
+
+
+@pytest.mark.parametrize("target", [0.05, 0.02, 0.005])
+def test_rounds_go_on_until_the_error_is_met_and_no_further(target):
+    planner = Planner(RenderSettings(target_error=target, denoise=False, method="importance-sampling").with_defaults(), 768, None)
+    passes = Passes(1)
+    quality = planner.first(0.0)
+    while quality is not None:
+        passes.add(picture(noisy(0.1 / quality, passes.count), quality))
+        planner.observe(quality, 1.0)
+        quality = planner.next(1.0, passes, None)
+    assert passes.count % GROUPS == 0
+    true = ((passes.picture.indirect - 1) ** 2).mean()
+    assert true < 1.4 * target
+    assert true > target / 3  # raw noise falls faster than the denoised error that the planner expects
+
+
+def test_without_a_goal_one_pass_of_the_numbers_as_they_are():
+    planner = Planner(RenderSettings().with_defaults(), 100_000, None)
+    assert planner.pilot_passes() == 0
+    assert planner.first(0.0) == 1.0
+    planner.observe(1.0, 1.0)
+    passes = Passes(1)
+    passes.add(picture(noisy(0.01, 0)))
+    assert planner.next(1.0, passes, None) is None
+    assert passes.estimate is None
+
+
+def test_pilot_sets_the_first_round_of_a_target():
+    def quality(error):
+        pixels = 16 * PILOT_PIXELS
+        planner = Planner(RenderSettings(target_error=0.01).with_defaults(), pixels, None)
+        assert planner.pilot_passes() == GROUPS
+        planner.pilot = {"size": [100, 80], "error": error}
+        return planner.first(0.0)
+
+    assert LEAST == quality(0.001) < quality(0.02) < quality(0.05) < quality(10.0) == MOST
+
+
+def test_cost_follows_what_was_seen():
+    cost = PassCost(np.array([0.5, 0.2, 1e-5]))
+    for k, quality in enumerate((0.25, 0.5, 2.0)):
+        cost.observe(10_000, quality, 0.9 * (k == 0) + 0.4 + 5e-5 * 10_000 * quality)
+    assert cost.seconds(10_000, 4.0) == pytest.approx(2.4, rel=0.1)
+    assert cost.quality(10_000, cost.seconds(10_000, 1.5)) == pytest.approx(1.5)
+
+
+def test_machine_is_measured_once(tmp_path):
+    first, measured = cached_machine(1, tmp_path)
+    again, once_more = cached_machine(1, tmp_path)
+    assert measured and not once_more and again == first
+    assert 0 < first.ray < 1e-3 and first.denoiser_pixel > 0
+    (path,) = tmp_path.glob("machine*.json")
+    for spoiled in ("{", json.dumps(json.loads(path.read_text()) | {"key": {"version": 0}})):
+        path.write_text(spoiled)
+        assert cached_machine(1, tmp_path)[1]
+
+
+@pytest.mark.parametrize("border", [(0, 0, 640, 360), (100, 50, 101, 52), (639, 359, 640, 360)])
+def test_reduced_camera_keeps_the_view(build, border):
+    camera = replace(build.camera(width=640, height=360), border=border)
+    small = reduced(camera, 5.0)
+    assert (small.width, small.height) == (128, 72)
+    assert small.window == camera.window
+    x0, y0, x1, y1 = small.border
+    assert 0 <= x0 < x1 <= 128 and 0 <= y0 < y1 <= 72
+
+
+@pytest.fixture(scope="module")
+def sphere(build):
+    """A closed sphere, radiance 1 W/m^2/sr, albedo 0.5, seen from its middle."""
+    return build.scene(build.geometry(*build.icosphere(3)), build.materials((0.5, 1.0)), camera=build.camera(width=24, height=24))
+
+
+def test_a_render_meets_its_target_the_same_on_any_machine(sphere):
+    settings = RenderSettings(vpls=256, target_error=0.003)
+    result, again = (render(sphere, replace(settings, threads=threads)) for threads in (1, 2))
+    assert result.stats["error_estimate"] <= 0.0035
+    assert result.stats["passes"] % GROUPS == 0
+    np.testing.assert_array_equal(result.layers["Albedo"], again.layers["Albedo"])
+    assert again.stats["passes"] == result.stats["passes"]
+    exact = np.pi * sum(0.5**k for k in range(1, 5))
+    assert ((result.layers["Irradiance"] / exact - 1) ** 2).mean() < 0.0045
+
+
+def test_a_budget_makes_further_passes(sphere, tmp_path, monkeypatch):
+    monkeypatch.setenv("LUMIGATE_CACHE", str(tmp_path))
+    result = render(sphere, RenderSettings(vpls=64, time_budget=3.0))
+    auto = result.stats["auto"]
+    assert result.stats["passes"] == len(auto["passes"]) > 1
+    assert result.stats["error_estimate"] is None
+    assert auto["goal"] == {"time_budget": 3.0} and auto["reasons"] and auto["method"] == "importance-sampling"
+    json.dumps(auto, allow_nan=False)
+
+
+def test_names_of_qualities_are_target_errors(sphere):
+    result = render(sphere, RenderSettings(vpls=64, quality="preview"))
+    assert result.stats["auto"]["goal"] == {"target_error": QUALITY_ERRORS["preview"]}
+    named = render(sphere, RenderSettings(vpls=64, quality="preview", method="importance-sampling"))
+    assert named.stats["passes"] == 1 and "auto" not in named.stats
