@@ -123,7 +123,7 @@ def render_job(
 
         return afterwards(render(scene, settings, advance, extraction_seconds=extraction_seconds))
 
-    return computing(work, Progress(settings.time_budget, open_end=settings.target_error is not None))
+    return computing(work, Progress(settings.time_budget, open_end=settings.with_defaults().target_error is not None))
 
 
 def computing(work: Callable[[Callable[[str, float], bool]], Any], progress: Progress | None = None) -> Job:

@@ -10,14 +10,14 @@ from ..core.settings import QUALITIES, Option, RenderSettings, options
 
 CUSTOM = "CUSTOM"
 _GOALS = (
-    ("QUALITY", "Quality", "A preset, or the numbers below"),
+    ("QUALITY", "Quality", "As many samples as a quality needs, or the numbers below"),
     ("TIME", "Time", "As many samples as fit into a time"),
     ("ERROR", "Error", "As many samples as an error needs"),
 )
 _QUALITY_ITEMS = (
-    ("PREVIEW", "Preview", "A first look"),
-    ("MEDIUM", "Medium", "For work"),
-    ("FINAL", "Final", "For the last picture"),
+    ("PREVIEW", "Preview", "A first look: relMSE .05, or few samples where the method is not Automatic"),
+    ("MEDIUM", "Medium", "For work: relMSE .02, or the usual samples where the method is not Automatic"),
+    ("FINAL", "Final", "For the last picture: relMSE .005, or many samples where the method is not Automatic"),
     (CUSTOM, "Custom", "The numbers below, as they are"),
 )
 _SWITCH = (("AUTO", "Automatic", "As the method needs"), ("ON", "On", "Always"), ("OFF", "Off", "Never"))
@@ -98,6 +98,8 @@ class LumigateSettings(bpy.types.PropertyGroup):
         reached = _GOAL_FIELDS.get(self.goal)
         left_out = set(_GOAL_FIELDS.values()) - {reached}
         values = {name: _value(name, getattr(self, name)) for name in SHOWN if name not in left_out}
+        if self.goal == "QUALITY" and self.quality != CUSTOM:
+            values["quality"] = self.quality.lower()  # what `auto` aims at; the other methods take the preset's numbers
         render = self.id_data.render
         return RenderSettings(threads=render.threads if render.threads_mode == "FIXED" else 0, **values)
 

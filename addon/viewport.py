@@ -156,6 +156,7 @@ class Viewport:
             layers=("Combined",),
             time_budget=None,
             target_error=None,
+            quality=None,
             debug_layers=False,
         )
         return render_job(scene, settings)

@@ -60,3 +60,6 @@ def _save(frame: Frame, output: Path, stats: Path | None, terminal: Terminal) ->
     terminal.out.print(
         f"{output}: {width}x{height}, {frame.stats['method']}, {frame.stats['seconds_total']:.2f} s", markup=False, soft_wrap=True
     )
+    plan = frame.stats.get("auto")
+    for reason in plan["reasons"] if plan and plan["goal"] else ():
+        terminal.out.print(f"  auto: {reason}", markup=False, soft_wrap=True)

@@ -5,7 +5,7 @@ import pytest
 
 import lumigate
 from lumigate.addon.properties import SHOWN
-from lumigate.core.settings import QUALITIES, RenderSettings, options
+from lumigate.core.settings import QUALITIES, QUALITY_ERRORS, RenderSettings, options
 
 
 @pytest.fixture
@@ -17,8 +17,8 @@ def settings():
 
 
 def test_the_defaults_are_those_of_the_command_line(settings):
-    assert settings.as_settings() == RenderSettings()
     assert settings.quality == "MEDIUM"
+    assert settings.as_settings() == RenderSettings(quality="medium")
 
 
 def test_every_option_is_a_property_with_a_tooltip(settings):
@@ -61,6 +61,14 @@ def test_a_preset_puts_its_numbers_in(settings, name):
 def test_other_numbers_are_a_custom_quality(settings):
     settings.vpls += 1
     assert settings.quality == "CUSTOM"
+    assert settings.as_settings().quality is None
+
+
+def test_a_named_quality_is_what_automatic_aims_at(settings):
+    settings.quality = "FINAL"
+    assert settings.as_settings().with_defaults().target_error == QUALITY_ERRORS["final"]
+    settings.goal = "TIME"
+    assert settings.as_settings().quality is None
 
 
 def test_the_aim_decides_which_end_there_is(settings):

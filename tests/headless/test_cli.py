@@ -78,6 +78,15 @@ def test_result_goes_to_stdout_and_nothing_of_blenders(rendered, tmp_path, capfd
     assert err == ""
 
 
+def test_the_plan_is_in_the_statistics_and_on_the_console(rendered, tmp_path, capfd):
+    argv = ["render", "cornell", "-o", str(tmp_path / "out.exr"), "--stats", str(tmp_path / "stats.json"), "--quality", "preview", *SMALL]
+    assert main(argv) == 0
+    plan = json.loads((tmp_path / "stats.json").read_text())["auto"]
+    assert plan["goal"] == {"target_error": 0.05}
+    out, _ = capfd.readouterr()
+    assert [line.removeprefix("  auto: ") for line in out.splitlines()[1:]] == plan["reasons"]
+
+
 def test_frames_are_numbered(rendered, tmp_path):
     argv = ["render", "cornell", "-o", str(tmp_path / "out.exr"), "--stats", str(tmp_path / "s.json"), "--frames", "9-10", *SMALL]
     assert main(argv) == 0
