@@ -231,6 +231,12 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     compare.add_argument("test", type=image_file, metavar="TEST.exr", help="the picture to judge")
     compare.add_argument("reference", type=image_file, metavar="REF.exr", help="the picture held to be true")
     compare.add_argument("--layer", default="Indirect", help="the layer to compare (default: %(default)s)")
+    compare.add_argument(
+        "--half", type=image_file, metavar="REF2.exr", help="an independent second reference (another --seed): errors net of their noise"
+    )
+    compare.add_argument(
+        "--against", type=image_file, metavar="OTHER.exr", help="another picture: is it better or worse than TEST.exr, beyond chance?"
+    )
     compare.add_argument("--json", type=output_file(".json"), metavar="FILE", help="write the figures")
     compare.add_argument("--error-map", type=output_file(".png"), metavar="PNG", help="write where the error is")
 

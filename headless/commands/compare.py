@@ -9,5 +9,14 @@ from ..console import Terminal
 
 
 def run(arguments: Namespace, terminal: Terminal) -> None:
-    """Print the four metrics; write figures and error map where asked."""
-    compare_files(arguments.test, arguments.reference, arguments.layer, arguments.json, arguments.error_map, console=terminal.out)
+    """Print the four metrics, and which of two pictures is better; write figures and error map where asked."""
+    compare_files(
+        arguments.test,
+        arguments.reference,
+        arguments.layer,
+        arguments.json,
+        arguments.error_map,
+        half=arguments.half,
+        against=arguments.against,
+        console=terminal.out,
+    )
