@@ -31,8 +31,9 @@ PILOT_PIXELS, PILOT_QUALITY = 8_000, 0.25
 PILOT_SHARE = 0.07  # of a budget, at most
 SMALLER = 6  # times as many pixels as the pilot has make it worth while
 # relMSE of a picture by that of one of fewer pixels and as many samples in each: the denoiser has more to go by.
-SIZE_SLOPE = 0.15
+SIZE_SLOPE = 0.35
 NEAR_ENOUGH = 1.15  # times the target
+CERTAIN = 1.5  # how far below the target the pilot must see one pass, for it to be made alone
 GROWTH = 6.0  # most by which the samples grow in a round: the slope is not exact
 
 
@@ -53,6 +54,7 @@ class Planner:
     passes: list[dict] = field(default_factory=list)
     reasons: list[str] = field(default_factory=list)
     pilot: dict | None = None
+    rounds: bool = True  # whether passes come in threes, which tell their error
 
     def __post_init__(self) -> None:
         if self.machine is not None:
@@ -108,11 +110,21 @@ class Planner:
         if not (self.pilot and self.pilot["error"] > 0):
             self.reasons.append("the picture is small: three passes with the fewest samples tell its error")
             return LEAST
-        small = self.pilot["error"] * (self.pixels / math.prod(self.pilot["size"])) ** -SIZE_SLOPE
-        quality = self._bounded(PILOT_QUALITY * (small / settings.target_error) ** (1 / SLOPE))
-        self.reasons.append(
-            f"the pilot's relMSE is {self.pilot['error']:.2g}: three passes of quality {quality:.3g} should have {settings.target_error:.2g}"
-        )
+        return self._first_of_target(settings.target_error)
+
+    def _first_of_target(self, target: float) -> float:
+        """By the error that the pilot found, in fewer pixels."""
+        found = self.pilot["error"]
+        whole = found * (self.pixels / math.prod(self.pilot["size"])) ** -SIZE_SLOPE
+        alone = whole * (GROUPS * PILOT_QUALITY / LEAST) ** SLOPE
+        if CERTAIN * alone <= target:
+            self.rounds = False
+            self.reasons.append(
+                f"the pilot's relMSE is {found:.2g}: one pass with the fewest samples should have {alone:.2g}, less than asked for"
+            )
+            return LEAST
+        quality = self._bounded(PILOT_QUALITY * (whole / target) ** (1 / SLOPE))
+        self.reasons.append(f"the pilot's relMSE is {found:.2g}: three passes of quality {quality:.3g} should have {target:.2g}")
         return quality
 
     def _first_of_budget(self, left: float) -> float:
@@ -142,7 +154,7 @@ class Planner:
             return None
         if self.settings.time_budget is not None:
             return self._next_of_budget(FULL * self.settings.time_budget - elapsed - self.finishing)
-        if self.settings.target_error is None:
+        if self.settings.target_error is None or not self.rounds:
             return None
         if passes.count % GROUPS:
             return self.passes[-1]["quality"]

@@ -27,7 +27,8 @@ def test_errors_are_net_of_the_reference_noise(files, tmp_path, capfd):
     half0, half1, good, _ = files
     assert main(["compare", good, half0, "--half", half1, "--json", str(tmp_path / "c.json")]) == 0
     figures = json.loads((tmp_path / "c.json").read_text())
-    assert figures["relmse"] == pytest.approx(0.01, rel=0.2)
+    # The denominators' own noise makes both a little larger.
+    assert figures["relmse"] == pytest.approx(0.01, rel=0.5)
     assert figures["reference_noise"] == pytest.approx(0.02, rel=0.2)
     assert figures["half"] == half1
 
@@ -37,7 +38,7 @@ def test_the_better_of_two_pictures_is_named(files, tmp_path, capfd):
     assert main(["compare", bad, half0, "--half", half1, "--against", good, "--json", str(tmp_path / "c.json")]) == 0
     found = json.loads((tmp_path / "c.json").read_text())["significance"]
     assert found["verdict"] == "other"
-    assert found["low"] < -0.03 < found["high"] < 0
+    assert -0.05 < found["low"] < found["high"] < -0.02
     assert "good.exr is better than bad.exr" in capfd.readouterr().out
 
 
