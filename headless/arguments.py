@@ -19,7 +19,10 @@ from .outputs import OutputError, check_file, check_folder
 from .sequence_arguments import add_sequence, frame, frame_range, sequence_settings
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
-SUITES = ("kernels", "clustering", "fuzzy", "vals", "topology", "previews", "curves", "lightmaps")  # of `bench`
+SUITES = (  # of `bench`
+    *("kernels", "clustering", "fuzzy", "vals", "topology", "previews", "curves", "lightmaps"),
+    *("auto", "scaling", "papers", "quick", "full"),
+)
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
 
 
@@ -254,7 +257,7 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     )
     inspect.add_argument("--skeleton", type=output_file(".obj"), metavar="FILE.obj", help="write skeleton and gates to look at")
 
-    bench = commands.add_parser("bench", help="speed of the parts, measured on this machine")
+    bench = commands.add_parser("bench", help="speed and errors, measured on this machine; a run that was broken off goes on")
     bench.add_argument("suite", nargs="?", default=SUITES[0], choices=SUITES, metavar="SUITE", help="%(choices)s (default: %(default)s)")
     bench.add_argument("-o", "--output", type=output_folder, required=True, metavar="DIR", help="where results.json goes")
     for suite, options in SUITE_OPTIONS.items():

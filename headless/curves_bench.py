@@ -18,6 +18,7 @@ import statistics
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise, zip_longest
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from ..core.errors import SceneError
 from ..core.layers import Layers, auto_exposure, srgb, write_png, write_whole
 from ..core.settings import RenderSettings
 from . import contestants
+from .bench_steps import Step
 from .cache import cached_halves, scene_identity
 from .reference import ReferenceSettings, denoise_layers
 from .sources import find_scene, open_source
@@ -104,7 +106,13 @@ class Time:
     bound: str | None = None
 
 
-def curves_rows(
+def curves_rows(folder: Path, **request) -> list[dict]:
+    """Rows of all scenes at once; arguments as `curves_steps`."""
+    rows = [row for step in curves_steps(folder, **request) for row in step.work()]
+    return rows + curves_summary(folder, rows)
+
+
+def curves_steps(
     folder: Path,
     scenes: Sequence[str] | None = None,
     size: tuple[int, int] = SIZE,
@@ -113,8 +121,8 @@ def curves_rows(
     repeats: int = REPEATS,
     qualities: Sequence[float] = QUALITIES,
     budgets: Sequence[float] = BUDGETS,
-) -> list[dict]:
-    """Rows of all scenes; plots and pictures go into `folder`.
+) -> list[Step]:
+    """A step for each scene; pictures go into `folder`.
 
     scenes: as `sources.find_scene` takes them; None is the sample scenes and those shared ones that are there.
     Raises SceneError where a scene is not there, or there is nothing to draw plots with.
@@ -125,20 +133,27 @@ def curves_rows(
     missing = [name for name, source in found.items() if source is None]
     if scenes and missing:
         raise SceneError(f"there is no scene {missing[0]!r}; name a file, a sample scene or a scene in the folder LUMIGATE_SCENES")
-    rows = []
-    for name, source in found.items():
-        if source is not None:
-            rows += _scene_rows(folder, name, source, size, sorted({*spp, TARGET_SAMPLES}), reference_samples, repeats, qualities, budgets)
-    rows += geometric_means(rows)
+    samples = sorted({*spp, TARGET_SAMPLES})
+    return [
+        Step(f"curves {name}", partial(_scene_rows, folder, name, source, size, samples, reference_samples, repeats, qualities, budgets))
+        for name, source in found.items()
+        if source is not None
+    ]
+
+
+def curves_summary(folder: Path, rows: list[dict]) -> list[dict]:
+    """Rows of all scenes together, where there are any; the plots go into `folder`."""
+    if not any(row["suite"] == "curves" for row in rows):
+        return []
     for layer in LAYERS:
         plot(folder / f"curves-{layer}.png", layer, rows)
-    return rows
+    return geometric_means(rows)
 
 
 def _scene_rows(folder, name: str, source: str, size, spp, reference_samples: int, repeats: int, qualities, budgets) -> list[dict]:
     scene = open_source(source)
     with closing(Denoiser()) as denoiser:
-        truth = _truth(scene, source, size, reference_samples, denoiser)
+        truth = reference_truth(scene, source, size, reference_samples, denoiser)
         points = _measure(scene, truth, size, spp, repeats, qualities, denoiser)
         rows = [_point_row(name, size, truth, layer, point) for layer in LAYERS for point in points]
         rows += [row for layer in LAYERS for row in time_rows(name, layer, points, truth.noise(layer))]
@@ -148,7 +163,8 @@ def _scene_rows(folder, name: str, source: str, size, spp, reference_samples: in
     return rows
 
 
-def _truth(scene: bpy.types.Scene, source: str, size, samples: int, denoiser: Denoiser) -> Truth:
+def reference_truth(scene: bpy.types.Scene, source: str, size, samples: int, denoiser: Denoiser) -> Truth:
+    """Of the open scene, rendered by Cycles where it is not in the cache; SceneError where it has no indirect light."""
     halves = cached_halves(scene, scene_identity(source), spp=samples, size=size, bounces=OURS.bounces)
     mean = Layers({name: (halves[0][name] + halves[1][name]) / 2 for name in halves[0]})
     for layer in LAYERS:

@@ -33,7 +33,7 @@ SMALLER = 6  # times as many pixels as the pilot has make it worth while
 # relMSE of a picture by that of one of fewer pixels and as many samples in each: the denoiser has more to go by.
 SIZE_SLOPE = 0.35
 NEAR_ENOUGH = 1.15  # times the target
-CERTAIN = 1.5  # how far below the target the pilot must see one pass, for it to be made alone
+CERTAIN = 1.2  # how far below the target the pilot must see one pass, for it to be made alone
 GROWTH = 6.0  # most by which the samples grow in a round: the slope is not exact
 
 

@@ -11,39 +11,27 @@ from rich.table import Table
 
 from ... import __version__
 from ...core.threads import thread_count
-from ..clustering_bench import clustering_rows
+from ..bench_report import write_report
+from ..bench_steps import run_steps
+from ..bench_suites import STEPS
 from ..console import Terminal
-from ..curves_bench import METRICS, OPPOSITE, curves_rows
-from ..fuzzy_bench import fuzzy_rows
-from ..kernel_bench import ray_rows
-from ..lightmap_bench import lightmap_rows
-from ..preview_bench import preview_rows
+from ..curves_bench import METRICS, OPPOSITE, curves_summary
 from ..results import write_json
-from ..topology_bench import topology_rows
-from ..vals_bench import vals_rows
 
-# Keys as in `arguments.SUITES`.
-ROWS = {
-    "kernels": ray_rows,
-    "clustering": clustering_rows,
-    "fuzzy": fuzzy_rows,
-    "vals": vals_rows,
-    "topology": topology_rows,
-    "previews": preview_rows,
-    "curves": curves_rows,
-    "lightmaps": lightmap_rows,
-}
-PICTURED = ("curves", "topology")  # suites that leave pictures in DIR, too
 PACKAGES = ("bpy", "numpy", "numba", "llvmlite", "scipy", "embreex", "OpenImageIO")
 
 
 def run(arguments: Namespace, terminal: Terminal) -> None:
-    """Run one suite, print its rows and write DIR/results.json."""
-    with terminal.waiting(f"bench {arguments.suite}"):
-        folder = {"folder": arguments.output} if arguments.suite in PICTURED else {}
-        rows = ROWS[arguments.suite](**folder, **arguments.options)
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    write_json(arguments.output / "results.json", {"machine": machine(), "versions": versions(), "rows": rows})
+    """Run one suite, print its rows and write DIR/results.json, rows.csv and report.md; steps that DIR holds already are kept."""
+    folder = arguments.output
+    steps = STEPS[arguments.suite](folder, **arguments.options)
+    identity = {"machine": machine(), "versions": versions(), "suite": arguments.suite, "options": arguments.options}
+    with terminal.progress() as progress:
+        rows = run_steps(steps, folder, identity, progress, terminal.say)
+    rows += curves_summary(folder, rows)
+    results = {"machine": identity["machine"], "versions": identity["versions"], "rows": rows}
+    write_json(folder / "results.json", results)
+    write_report(folder, arguments.suite, results)
     for suite in dict.fromkeys(row["suite"] for row in rows):
         terminal.out.print(_table(suite, [row for row in rows if row["suite"] == suite]))
 

@@ -19,8 +19,9 @@ from lumigate import sample_scenes
 from lumigate.addon.files import SUPPORTED
 from lumigate.core.layers import CONTRACT, read_exr
 from lumigate.headless import arguments
+from lumigate.headless.bench_steps import Step
+from lumigate.headless.bench_suites import STEPS
 from lumigate.headless.cli import main
-from lumigate.headless.commands import bench
 from lumigate.headless.frames import numbered
 from lumigate.headless.sources import OLDEST_BLENDER
 
@@ -149,12 +150,12 @@ def test_reference_has_the_same_layers(rendered, tmp_path):
 
 
 def test_every_suite_has_rows():
-    assert tuple(bench.ROWS) == arguments.SUITES
+    assert tuple(STEPS) == arguments.SUITES
 
 
 def test_bench_leaves_machine_versions_and_rows(tmp_path, monkeypatch, capsys):
     rows = [{"suite": "kernels", "case": "shadow rays", "value": 2.0, "unit": "Mrays/s/core", "peer_value": 1.0, "ratio": 2.0}]
-    monkeypatch.setitem(bench.ROWS, "kernels", lambda: rows)
+    monkeypatch.setitem(STEPS, "kernels", lambda folder: [Step("kernels", lambda: rows)])
     assert main(["bench", "-o", str(tmp_path / "bench")]) == 0
     results = json.loads((tmp_path / "bench" / "results.json").read_text())
     assert results["rows"] == rows

@@ -9,14 +9,15 @@ import pytest
 
 from lumigate.core.errors import SceneError
 from lumigate.headless import curves_bench
+from lumigate.headless.bench_suites import STEPS
 from lumigate.headless.cli import main
-from lumigate.headless.commands import bench
 from lumigate.headless.curves_bench import (
     LAYERS,
     PEERS,
     Point,
     Time,
     curves_rows,
+    curves_steps,
     fitting_samples,
     geometric_means,
     time_rows,
@@ -94,7 +95,7 @@ def small(tmp_path_factory):
     folder = tmp_path_factory.mktemp("curves")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LUMIGATE_CACHE", str(folder / "cache"))
-        patch.setitem(bench.ROWS, "curves", partial(curves_rows, qualities=(0.25, 0.5), budgets=(0.2,)))
+        patch.setitem(STEPS, "curves", partial(curves_steps, qualities=(0.25, 0.5), budgets=(0.2,)))
         options = ["--scenes", "cornell", "--size", "32x18", "--spp", "2", "--reference-samples", "32", "--repeats", "1"]
         assert main(["bench", "curves", "-o", str(folder), *options]) == 0
     return folder, json.loads((folder / "results.json").read_text())["rows"]
