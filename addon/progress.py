@@ -15,7 +15,8 @@ _SHARES = {
     "glossy": 0.12,
     "vpls": 0.12,
     "indirect": 0.24,
-    "denoise": 0.08,
+    "denoise": 0.05,
+    "groups": 0.03,
 }
 _MOST = 0.99  # what is shown before the end
 _ENOUGH = 0.1  # of the work must be done before the time left is worth showing
@@ -30,6 +31,7 @@ _LABELS = {
     "vpls": "placing virtual point lights",
     "indirect": "indirect light",
     "denoise": "denoising",
+    "groups": "telling light groups apart",
 }
 
 

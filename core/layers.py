@@ -30,6 +30,8 @@ CONTRACT = (
     "Position",
     "Depth",
 )
+# Of each light group `<layer>_<group>`.
+GROUP_LAYERS = ("Combined", "Direct", "Indirect")
 # Layers that are vectors in space, not colours.
 VECTORS = {"Normal", "Position"}
 _LETTERS = {1: "V", 2: "XY", 3: "RGB", 4: "RGBA"}

@@ -2,18 +2,52 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from .denoise import Denoiser, mean_factor
-from .layers import Layers
+from .group_shares import shares_of
+from .lamps import LightGroups
+from .layers import GROUP_LAYERS, Layers
 from .scene import Scene
 from .view.points import ShadingPoints
 from .view.primary import View
 
+LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
 # What passes average; position and depth are the first one's.
-_MEANS = ("direct", "diffuse_indirect", "glossy_indirect", "albedo", "emission", "normal", "guide_albedo", "guide_normal")
+_MEANS = (*LIGHT, "albedo", "normal", "guide_albedo", "guide_normal")
+
+
+class GroupLight(NamedTuple):
+    """Light of one group, (H, W, 3) float32 radiance each (W/m^2/sr); the fields are those of `Picture`."""
+
+    direct: np.ndarray
+    diffuse_indirect: np.ndarray
+    glossy_indirect: np.ndarray
+    emission: np.ndarray
+
+    @staticmethod
+    def compose(
+        seen: View, direct: np.ndarray, indirect: np.ndarray, glossy_direct: np.ndarray, glossy_indirect: np.ndarray, emitted: np.ndarray
+    ) -> GroupLight:
+        """Irradiances and glossy radiances (N, 3) at the shading points as images; emitted: as in `View`, of the group.
+
+        Glass is a bounce, as in Cycles: all light of the surfaces behind it is indirect, and specular, whatever it is to
+        them.  What shines behind it is direct light after one surface of glass, indirect light after more.
+        """
+        shape, points = seen.shape, seen.points
+        diffuse = points.albedo * np.float32(1 / np.pi)
+        first, later = diffuse * direct + glossy_direct, diffuse * indirect
+        behind = points.behind_glass[:, None] > 0
+        emission, behind_one, behind_more = emitted
+        return GroupLight(
+            splat(points, first * ~behind, shape) + behind_one,
+            splat(points, later * ~behind, shape),
+            splat(points, glossy_indirect + (first + later) * behind, shape) + behind_more,
+            emission,
+        )
 
 
 @dataclass(frozen=True)
@@ -22,6 +56,7 @@ class Picture:
 
     direct, diffuse_indirect, glossy_indirect, emission: radiance (W/m^2/sr).  guide_albedo, guide_normal: tell a denoiser
     where edges are.  weight: how many samples it stands for, on any scale.  triangle: (H, W) int32, of `position`, where it is asked for.
+    groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
     """
 
     direct: np.ndarray
@@ -36,43 +71,45 @@ class Picture:
     depth: np.ndarray
     weight: float = 1.0
     triangle: np.ndarray | None = None
+    groups: dict[str, GroupLight] = field(default_factory=dict)
 
     @staticmethod
     def compose(
         seen: View, direct: np.ndarray, indirect: np.ndarray, glossy_direct: np.ndarray, glossy_indirect: np.ndarray,
-        mirrored_albedo: np.ndarray, weight: float = 1.0,
+        mirrored_albedo: np.ndarray, weight: float = 1.0, groups: LightGroups | None = None,
     ) -> Picture:  # fmt: skip
-        """The picture of irradiances and glossy radiances (N, 3) at the shading points.
+        """The picture of irradiances and glossy radiances (N, 3 G) at the shading points.
 
-        mirrored_albedo: (N, 3), of what mirrors show, for the denoiser.
-
-        Glass is a bounce, as in Cycles: all light of the surfaces behind it is indirect, and specular, whatever it is to
-        them.  What shines behind it is direct light after one surface of glass, indirect light after more.
+        mirrored_albedo: (N, 3), of what mirrors show, for the denoiser.  groups: the G light groups, None for none.
         """
-        shape, points = seen.shape, seen.points
-        diffuse = points.albedo * np.float32(1 / np.pi)
-        first, later = diffuse * direct + glossy_direct, diffuse * indirect
-        behind = points.behind_glass[:, None] > 0
+        columns = [np.s_[:, 3 * k : 3 * k + 3] for k in range(len(seen.emitted))]
+        parts = [
+            GroupLight.compose(seen, direct[of], indirect[of], glossy_direct[of], glossy_indirect[of], emitted)
+            for of, emitted in zip(columns, seen.emitted, strict=True)
+        ]
+        whole = parts[0] if len(parts) == 1 else GroupLight(*(sum(layers) for layers in zip(*parts)))
         guide_albedo, guide_normal = denoising_guides(seen)
         return Picture(
-            direct=splat(points, first * ~behind, shape) + seen.emission_behind_one,
-            diffuse_indirect=splat(points, later * ~behind, shape),
-            glossy_indirect=splat(points, glossy_indirect + (first + later) * behind, shape) + seen.emission_behind_more,
+            **whole._asdict(),
             albedo=seen.albedo,
-            emission=seen.emission,
             normal=seen.normal,
-            guide_albedo=guide_albedo + splat(points, mirrored_albedo, shape),
+            guide_albedo=guide_albedo + splat(seen.points, mirrored_albedo, seen.shape),
             guide_normal=guide_normal,
             position=seen.position,
             depth=seen.depth,
             weight=weight,
+            groups={} if groups is None else groups.told_apart(parts, GroupLight(*(np.zeros_like(seen.albedo) for _ in LIGHT))),
         )
 
     def blend(self, other: Picture) -> Picture:
         """The mean of both by their weights."""
         whole = self.weight + other.weight
         a, b = np.float32(self.weight / whole), np.float32(other.weight / whole)
-        return replace(self, weight=whole, **{name: a * getattr(self, name) + b * getattr(other, name) for name in _MEANS})
+        groups = {
+            name: GroupLight(*(a * mine + b * its for mine, its in zip(light, other.groups[name]))) for name, light in self.groups.items()
+        }
+        means = {name: a * getattr(self, name) + b * getattr(other, name) for name in _MEANS}
+        return replace(self, weight=whole, groups=groups, **means)
 
     @property
     def indirect(self) -> np.ndarray:
@@ -104,6 +141,29 @@ class Picture:
                 found[name] = cleaned(getattr(self, name), preserve_mean=True)
         return replace(self, **found)
 
+    def shared_out(self, denoiser: Denoiser, threads: int) -> Picture:
+        """With the groups' light as free of noise as the whole, which they add up to still.
+
+        To be called on a picture whose groups have the noise that it had before it was denoised.  A group's indirect light is
+        told apart as one: all of it is in `diffuse_indirect`, `glossy_indirect` is zero.
+        """
+        lit = self.groups.values()
+        guides = self.guide_albedo, self.guide_normal, self.position, denoiser, threads
+        direct = shares_of(np.stack([light.direct for light in lit]), self.direct, *guides)
+        indirect = shares_of(np.stack([light.diffuse_indirect + light.glossy_indirect for light in lit]), self.indirect, *guides)
+        none = np.zeros_like(self.direct)
+        groups = {name: GroupLight(direct[k], indirect[k], none, light.emission) for k, (name, light) in enumerate(self.groups.items())}
+        return replace(self, groups=groups)
+
+    def group_layers(self) -> dict[str, np.ndarray]:
+        """Three layers a light group, the first named as Cycles names it; each kind adds up to the layer of the whole."""
+        found = {}
+        for name, (direct, diffuse, glossy, emission) in self.groups.items():
+            indirect = diffuse + glossy
+            images = (direct + indirect + emission, direct, indirect)
+            found |= {f"{kind}_{name}": image for kind, image in zip(GROUP_LAYERS, images, strict=True)}
+        return found
+
     def layers(self, scene: Scene) -> Layers:
         """The layers of the contract (design.md, section 3)."""
         camera = scene.camera
@@ -120,6 +180,7 @@ class Picture:
                 "Normal": self.normal,
                 "Position": np.where(self.depth[..., None] < 1e9, self.position + scene.origin.astype(np.float32), np.float32(0)),
                 "Depth": self.depth,
+                **self.group_layers(),
             },
             view_layer=scene.view_layer,
             offset=(camera.border[0], camera.border[1]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -14,7 +14,7 @@ from .denoise import Denoiser
 from .errors import SceneError
 from .inspection import foresee
 from .jit import CompileTimer
-from .lamps import build_emitters, direct_irradiance, direct_light, world_tables
+from .lamps import LightGroups, build_emitters, direct_irradiance, direct_light, world_tables
 from .layers import Layers
 from .methods.area_shadows import area_lamps, direct_by_soft_maps
 from .methods.fuzzy_clustering import FuzzyClustering
@@ -70,6 +70,7 @@ class Run:
     vpls: int = 0
     clusters: FuzzyClustering | VirtualAreaLights | VisibilityGates | None = None  # whose clusters the debug layers show
     topology: Topology | None = None
+    groups: LightGroups | None = None  # to be told apart, None for none
     planner: Planner | None = None
     debug: dict[str, np.ndarray] = field(default_factory=dict)
     sequence: Sequence | None = None
@@ -179,10 +180,13 @@ def _render(
     if denoiser:
         with run.stage("denoise"):
             picture = picture.denoised(denoiser, threads, direct=settings.wants("Direct", "Combined"))
+    if picture.groups and (denoiser or sequence):  # either has changed the whole
+        with run.stage("groups"), closing(Denoiser(quality="fast")) as quick:
+            picture = picture.shared_out(quick, threads)
     layers = picture.layers(scene)
     layers.update(run.debug)
     if settings.layers is not None:
-        for name in [name for name in layers if name not in settings.layers]:
+        for name in [name for name in layers if name.partition("_")[0] not in settings.layers]:
             del layers[name]
             run.skip("layers", f"{name} was not asked for")
     run.seconds["jit"] = run.seconds.get("jit", 0.0)
@@ -213,14 +217,17 @@ def _planner(run: Run, settings: RenderSettings, pixels: int, threads: int) -> P
         machine, measured = cached_machine(threads)
         if measured:  # once a machine: apart from the render, as compilation is
             run.seconds["calibration"] = time.perf_counter() - begin
-    return Planner(settings, pixels, machine, images=3 if settings.wants("Direct", "Combined") else 2, cold=settings.method not in LOADED)
+    images = 3 if settings.wants("Direct", "Combined") else 2
+    if run.groups:  # direct and indirect light of three groups are two images, denoised in half the time
+        images += -(-len(run.groups.names) // 3)
+    return Planner(settings, pixels, machine, images=images, cold=settings.method not in LOADED)
 
 
 def _fly(
     run: Run, planner: Planner, scene: Scene, tables: Transport, denoiser: Denoiser | None, threads: int, elapsed: Callable[[], float]
 ) -> None:
     """The planner's pilot, whose time is a stage of its own, and whose counts are not the render's."""
-    trial = Run(run.progress, topology=run.topology)
+    trial = Run(run.progress, topology=run.topology, groups=run.groups)
 
     def work(camera: Camera, settings: RenderSettings) -> Picture:
         return _pass(trial, replace(scene, camera=camera), tables, settings, threads, 1.0)
@@ -244,6 +251,7 @@ def _passes(
     elapsed: Callable[[], float],
 ) -> Passes:
     """All passes of a picture, and those that stand for the frames before the first one of a sequence."""
+    run.groups = _light_groups(run, scene, settings)
     with prepared(run, scene, settings, threads, topologies) as tables:
         planner = run.planner = _planner(run, settings, _pixels(scene.camera), threads)
         _fly(run, planner, scene, tables, denoiser, threads, elapsed)
@@ -269,7 +277,7 @@ def prepared(run: Run, scene: Scene, settings: RenderSettings, threads: int, top
         rays = run.sequence.rays(scene) if run.sequence else ray_scene(scene)
     with nullcontext() if run.sequence else rays:
         with run.stage("emitters"):
-            emitters = run.sequence.emitters(scene) if run.sequence else build_emitters(scene)
+            emitters = run.sequence.emitters(scene, run.groups) if run.sequence else build_emitters(scene, groups=run.groups)
             skipped, warnings = foresee(scene, emitters)
             run.skipped = [*scene.skipped, *skipped]
             run.warnings += [*scene.warnings, *warnings]
@@ -287,7 +295,7 @@ def light_points(
 
     points: N of them, in an order in which neighbours lie close together; without glossy lobes.
     """
-    first = np.zeros((len(points.pixel), 3), np.float32)
+    first = tables.emitters.no_light(len(points.pixel))
     if run.topology is not None:
         tables = _within_reach(run, tables, points)
     if direct:
@@ -305,23 +313,32 @@ def _pixels(camera: Camera) -> int:
     return (x1 - x0) * (y1 - y0)
 
 
+def _light_groups(run: Run, scene: Scene, settings: RenderSettings) -> LightGroups | None:
+    """The light groups whose light gets layers of its own."""
+    if scene.light_groups and settings.light_groups:
+        if settings.method == "importance-sampling":
+            return LightGroups.of(scene)
+        run.warnings.append(f"light groups get no layers of their own from {settings.method}: use the automatic method for them")
+    return None
+
+
 def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, threads: int, weight: float) -> Picture:
     """One picture of the view, its samples, VPLs and caches independent of those of other seeds."""
     with run.stage("view") as tick:
 
         def look() -> View:
-            return view(scene, tables.rays, world_tables(scene.world), settings.pixel_samples, settings.seed, threads, tick)
+            return view(scene, tables.rays, world_tables(scene.world), settings.pixel_samples, settings.seed, threads, tick, run.groups)
 
         seen = run.sequence.view(scene, settings, look) if run.sequence else look()
         run.rays["primary"] += seen.rays
     points = seen.points
     if run.topology is not None:
         tables = _within_reach(run, tables, points)
-    nothing = np.zeros((len(points.pixel), 3), np.float32)
+    nothing = tables.emitters.no_light(len(points.pixel))
     behind_glass = bool(points.behind_glass.any())
     sampler = _sampler(run, tables, points, settings, threads)
     direct = highlights = nothing
-    mirrored = Reflections(nothing, nothing, 0, nothing)
+    mirrored = Reflections(nothing, nothing, 0, nothing[:, :3])
     wants = settings.wants
     if wants("Direct", "Combined") or behind_glass:
         with run.stage("direct") as tick:
@@ -337,7 +354,7 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
             if run.clusters is not None:
                 run.debug |= run.clusters.debug_layers(points, seen.shape)
     LOADED.add(settings.method)
-    picture = Picture.compose(seen, direct, indirect, highlights + mirrored.direct, mirrored.indirect, mirrored.albedo, weight)
+    picture = Picture.compose(seen, direct, indirect, highlights + mirrored.direct, mirrored.indirect, mirrored.albedo, weight, run.groups)
     return replace(picture, triangle=nearest_triangles(seen)) if run.sequence else picture
 
 
@@ -351,8 +368,8 @@ def method_of(settings: RenderSettings) -> str:
 def _direct(
     run: Run, scene: Scene, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, tick
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Direct irradiance at the points (N, 3), and the radiance that their lobes reflect of it (N, 3) by shadow rays."""
-    by_maps = highlights = np.zeros((len(points.pixel), 3), np.float32)
+    """Direct irradiance at the points (N, 3 G), and the radiance that their lobes reflect of it (N, 3 G) by shadow rays."""
+    by_maps = highlights = tables.emitters.no_light(len(points.pixel))
     lobes = has_lobes(points)
     samples, seed = settings.direct_samples, settings.seed
     if lobes:
@@ -392,10 +409,10 @@ def _glossy(
     run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
 ) -> Reflections:
     """What rays drawn from the points' lobes find."""
-    nothing = np.zeros((len(points.pixel), 3), np.float32)
+    nothing = tables.emitters.no_light(len(points.pixel))
     if not has_lobes(points) or settings.reflections < 1:
         run.skip("glossy", "no visible surface is glossy" if settings.reflections > 0 else "no reflections asked for")
-        return Reflections(nothing, nothing, 0, nothing)
+        return Reflections(nothing, nothing, 0, nothing[:, :3])
     with run.stage("glossy") as tick:
         found = reflect(
             tables, points, settings.direct_samples, settings.reflections, settings.bounces, settings.seed + TURN * run.turn, threads, tick,
@@ -414,9 +431,9 @@ def _indirect(
     threads: int,
     sampler: ImportanceSampling | None,
 ) -> tuple[np.ndarray, Vpls]:
-    """Indirect irradiance at the points (N, 3), and the VPLs that it came from; width: of the picture in pixels,
+    """Indirect irradiance at the points (N, 3 G), and the VPLs that it came from; width: of the picture in pixels,
     None where the points are not of one."""
-    nothing = np.zeros((len(points.pixel), 3), np.float32)
+    nothing = tables.emitters.no_light(len(points.pixel))
     if settings.bounces < 1 or settings.vpls < 1:
         run.skip("vpls", "no bounces or no VPLs asked for")
         return nothing, Vpls.allocate(0)

@@ -36,6 +36,7 @@ class Geometry:
         attribute, generated or object coordinates): slot k means what each material says it means.
     material: (T,) int32 into `Materials`;  object: (T,) int32 into the object lists.
     object_names: O names;  object_visibility: (O,) uint8 bits of ray kinds.
+    object_groups: O light group names ('' for none), None where no object has one.
     lightmap_uv: (T, 3, 2) float32, where a bake asked for them: corners in the object's lightmap, NaN where it has none.
     """
 
@@ -47,6 +48,7 @@ class Geometry:
     object: np.ndarray
     object_names: list[str]
     object_visibility: np.ndarray
+    object_groups: list[str] | None = None
     lightmap_uv: np.ndarray | None = None
 
 
@@ -134,11 +136,12 @@ class World:
     radiance: (H, W, 3) float32, equirectangular in Blender's layout: row 0 is the top (z = +1); column
         x has the azimuth atan2(d.y, d.x) = pi - 2 pi (x + .5) / W, as Cycles' direction_to_equirectangular.
         (1, 1, 3) is a constant world.
-    visibility: bits of ray kinds.
+    visibility: bits of ray kinds.  group: name of its light group ('' for none).
     """
 
     radiance: np.ndarray
     visibility: int = ALL_RAYS
+    group: str = ""
 
 
 @dataclass
@@ -175,7 +178,10 @@ class Skipped:
 
 @dataclass
 class Scene:
-    """All that a render reads; a bake of lightmaps needs no camera."""
+    """All that a render reads; a bake of lightmaps needs no camera.
+
+    light_groups: names of the view layer's light groups, whose light gets layers of its own.
+    """
 
     geometry: Geometry
     materials: Materials
@@ -185,5 +191,6 @@ class Scene:
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     frame: int = 1
     view_layer: str = "ViewLayer"
+    light_groups: tuple[str, ...] = ()
     warnings: list[str] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)

@@ -88,7 +88,7 @@ class RenderSettings:
     reflections: most rays drawn from the glossy lobe of a shading point.
     direct_samples, reflections, denoise: None lets the method choose (see `with_defaults`).  time_budget: seconds;
     target_error: relMSE.  quality: a key of `QUALITY_ERRORS`, which `auto` takes for its target error where neither is given.
-    layers: names of the layers wanted (None: all of the contract).
+    layers: names of the layers wanted (None: all of the contract); those of light groups come with the layer that they are of.
     """
 
     method: str = option("auto", "Method", "How the indirect light is gathered", choices=METHOD_CHOICES)
@@ -194,6 +194,12 @@ class RenderSettings:
     )
     gather: int = option(
         8, "Gather Rays", "Rays of a shading point into the cache of light, and of the bias compensation", least=1, usual=128
+    )
+    light_groups: bool = option(
+        True,
+        "Light Groups",
+        "Give each light group of the view layer direct and indirect light of its own, to be dimmed and coloured after the render",
+        method="importance-sampling",
     )
 
     extra: dict = field(default_factory=dict)

@@ -159,6 +159,11 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
     "importance-sampling": (
         OwnOption("--samples", "samples", {"type": count, "metavar": "N", "help": "shadow rays a shading point (default: 8)"}),
         OwnOption("--gather", "gather", {"type": count, "metavar": "N", "help": "gather rays a shading point (default: 8)"}),
+        OwnOption(
+            "--no-light-groups",
+            "light_groups",
+            {"action": "store_const", "const": False, "help": "no layers of their own for the view layer's light groups"},
+        ),
     ),
 }
 

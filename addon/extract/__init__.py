@@ -100,6 +100,7 @@ def _assembled(
         origin=origin,
         frame=scene.frame_current,
         view_layer=layer.name,
+        light_groups=tuple(group.name for group in layer.lightgroups),
         warnings=[*found.warnings, *dropped, *lamps.warnings, *world.warnings, *compiled.warnings],
         skipped=lamps.skipped,
     )

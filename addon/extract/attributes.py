@@ -17,7 +17,7 @@ from .meshes import MeshCopy
 class Part:
     """One instance of a mesh: where it is and what it wears (original data-blocks; None is an empty slot).
 
-    lightmap: the layer of its mesh that a lightmap is to be baked on ('' for none).
+    lightmap: the layer of its mesh that a lightmap is to be baked on ('' for none).  light_group: its name ('' for none).
     """
 
     mesh: MeshCopy
@@ -30,6 +30,7 @@ class Part:
     color: tuple[float, ...]
     pass_index: int
     lightmap: str = ""
+    light_group: str = ""
 
 
 @dataclass

@@ -69,6 +69,11 @@ def instance_visibility(instance: bpy.types.DepsgraphObjectInstance, view_layer:
     return visibility
 
 
+def light_group(instance: bpy.types.DepsgraphObjectInstance) -> str:
+    """Name of the light group of an instance, as Cycles finds it: its own, else its parent's; '' for none."""
+    return instance.object.lightgroup or (instance.parent.lightgroup if instance.is_instance else "")
+
+
 def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None = None) -> Collected:
     """Copy every mesh of an evaluated scene once, and list its instances.
 
@@ -107,6 +112,7 @@ def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None 
                 color=tuple(ob.color),
                 pass_index=ob.pass_index,
                 lightmap="" if instance.is_instance else lightmaps.get(ob.name, ""),
+                light_group=light_group(instance),
             )
         )
     found.warnings.extend(notes)
@@ -174,6 +180,7 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
         object=np.empty(total, np.int32),
         object_names=[part.name for part in parts],
         object_visibility=np.array([part.visibility for part in parts], np.uint8),
+        object_groups=[part.light_group for part in parts],
         lightmap_uv=np.empty((total, 3, 2), np.float32) if any(part.lightmap for part in parts) else None,
     )
     world = np.empty((sum(vertex_counts), 3), np.float64)

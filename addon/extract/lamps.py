@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from ...core.scene import AREA, ELLIPSE, POINT, RECTANGLE, SPOT, SUN, Lamps, Skipped
-from .geometry import instance_visibility
+from .geometry import instance_visibility, light_group
 from .nodes import node_tree, surface
 
 _KINDS = {"POINT": POINT, "SPOT": SPOT, "SUN": SUN, "AREA": AREA}
@@ -83,7 +83,6 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
         elif visibility == 0:
             found.skip(ob.name, "is invisible to every kind of ray")
         else:
-            parent = instance.parent if instance.is_instance else ob
             lamp = Lamp(
                 name=ob.name,
                 kind=_KINDS[light.type],
@@ -92,7 +91,7 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
                 emission=power,
                 visibility=visibility,
                 cast_shadow=light.use_shadow,
-                group=ob.lightgroup or parent.lightgroup,
+                group=light_group(instance),
             )
             _SHAPERS[light.type](lamp, light, np.linalg.norm(matrix[:3, :3], axis=0), found)
             if lamp.emission.any():

@@ -53,7 +53,7 @@ def extract_world(
     if world is None:
         return ExtractedWorld(World(np.zeros((1, 1, 3), np.float32)))
     world = world.evaluated_get(graph)
-    found = ExtractedWorld(World(np.zeros((1, 1, 3), np.float32), _visibility(world)))
+    found = ExtractedWorld(World(np.zeros((1, 1, 3), np.float32), _visibility(world), world.lightgroup))
     tree = node_tree(world)
     if tree is None:
         found.world.radiance[:] = world.color

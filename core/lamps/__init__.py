@@ -6,7 +6,8 @@
 
 from .build import build_emitters
 from .direct import direct_irradiance, direct_light
+from .groups import LightGroups
 from .tables import Emitters
 from .world import world_tables
 
-__all__ = ["Emitters", "build_emitters", "direct_irradiance", "direct_light", "world_tables"]
+__all__ = ["Emitters", "LightGroups", "build_emitters", "direct_irradiance", "direct_light", "world_tables"]

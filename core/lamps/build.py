@@ -9,6 +9,7 @@ from ..sampling.sequences import r2_points
 from ..scene import AREA, CAMERA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, GLOSSY, POINT, SPOT, SUN, TRANSMISSION, TRANSPARENT, Scene
 from ..surfaces.batch import evaluate_batch
 from ..surfaces.layout import EMISSION
+from .groups import LightGroups
 from .tables import (
     AREA_M2,
     AXIS,
@@ -174,31 +175,34 @@ def _mesh(scene: Scene, ray_kind: int, threads: int):
     return triangle, material, flags, radiance, radiance * (2 * np.pi * area)[:, None], bounds, table
 
 
-def lamp_tables(scene: Scene, ray_kind: int) -> LampTables:
-    """The analytic lamps that shine and are visible to rays of `ray_kind`."""
-    _, kind, flags, radiance, _, _, lamps = _lamps(scene, ray_kind, np.zeros((2, 3), np.float32))
-    return LampTables(kind.astype(np.int32), flags.astype(np.int32), radiance.astype(np.float32), lamps)
+def lamp_tables(scene: Scene, ray_kind: int, light_group: np.ndarray) -> LampTables:
+    """The analytic lamps that shine and are visible to rays of `ray_kind`; light_group: (L,) int32, of the scene's lamps."""
+    source, kind, flags, radiance, _, _, lamps = _lamps(scene, ray_kind, np.zeros((2, 3), np.float32))
+    return LampTables(kind.astype(np.int32), flags.astype(np.int32), radiance.astype(np.float32), lamps, light_group[source])
 
 
-def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0) -> Emitters:
+def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, groups: LightGroups | None = None) -> Emitters:
     """Tables of everything in the scene that emits light towards receivers hit by rays of `ray_kind`.
+
+    groups: the light groups to tell apart, None for none.
 
     Lamps, world and objects that are not visible to such rays, and lamps without power, are left out; a lamp
     whose emission is not finite is left out with a warning.
     """
     f = np.float32
+    groups = LightGroups.one(scene) if groups is None else groups
     box = _box(scene)
     source, kind, flags, radiance, flux, bounds, lamps = _lamps(scene, ray_kind, box)
     triangle, material, mesh_flags, mesh_radiance, mesh_flux, mesh_bounds, shapes = _mesh(scene, ray_kind, threads)
     world = no_world()
-    parts = [(kind, flags, radiance, flux, bounds)]
+    parts = [(kind, flags, radiance, flux, bounds, groups.lamps[source])]
     if scene.world.visibility & ray_kind and (scene.world.radiance > 0).any():
         world, mean, world_flux = world_table(scene.world.radiance, box)
         world_flags = CASTS_SHADOW + SEEN_BY_GLOSSY * bool(scene.world.visibility & GLOSSY)
-        parts.append((np.array([WORLD]), np.array([world_flags]), mean[None], world_flux[None], np.zeros((1, COLUMNS))))
+        parts.append((np.array([WORLD]), np.array([world_flags]), mean[None], world_flux[None], np.zeros((1, COLUMNS)), [groups.world]))
     m = len(triangle)
-    parts.append((np.full(m, TRIANGLE), mesh_flags, mesh_radiance, mesh_flux, mesh_bounds))
-    kind, flags, radiance, flux, bounds = (np.concatenate(columns) for columns in zip(*parts))
+    parts.append((np.full(m, TRIANGLE), mesh_flags, mesh_radiance, mesh_flux, mesh_bounds, groups.objects[scene.geometry.object[triangle]]))
+    kind, flags, radiance, flux, bounds, light_group = (np.concatenate(columns) for columns in zip(*parts))
 
     distant = np.flatnonzero((kind == SUN) | (kind == WORLD))
     analytic = np.flatnonzero((kind != SUN) & (kind < WORLD))
@@ -209,7 +213,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0) -> E
         single, members = analytic, triangles
     else:
         single, members = np.zeros(0, np.int64), np.concatenate([analytic, triangles])
-    groups = np.concatenate([single, distant, [-1] if len(members) else []])
+    sampled = np.concatenate([single, distant, [-1] if len(members) else []])
     return Emitters(
         kind=kind.astype(np.int32),
         flags=flags.astype(np.int32),
@@ -223,10 +227,13 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0) -> E
         material=material,
         world=world,
         tree=light_tree(bounds, members),
-        groups=groups.astype(np.int32),
+        groups=sampled.astype(np.int32),
         emission_cdf=cumulative(flux.mean(1), np.float64) if len(kind) else np.zeros(1),
         box=box,
         cutouts=bool((scene.materials.tables.flags & TRANSPARENT).any()),
+        light_group=light_group.astype(np.int32),
+        object_light_group=groups.objects,
+        light_groups=len(groups.names),
         vertices=scene.geometry.vertices,
         triangles=scene.geometry.triangles,
         attributes=scene.geometry.attributes,

@@ -184,7 +184,7 @@ def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end):
 
 @leaf
 def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
-    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, and the cosine of its light; the mean is exact.
+    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine and the emitter of its light (-1: none); the mean is exact.
 
     For the tails of paths: random numbers are hashed from (seed, path, dimension, 0..3).
     scene: Transport.  packet, rows, surface: scratch.  g, s: geometric and shading normal, on the lit side.
@@ -205,7 +205,7 @@ def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, s
                 u = (u - p) / (_1 - p)
             u = min(u, np.float32(0.99999994))
     if chosen < 0:
-        return _0, _0, _0, _0
+        return _0, _0, _0, _0, -1
     e, probability = emitters.groups[chosen], _1
     if e < 0:
         tree = emitters.tree
@@ -213,31 +213,31 @@ def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, s
             tree.nodes, tree.two_sided, tree.children, tree.root, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 1)
         )
         if e < 0:
-            return _0, _0, _0, _0
+            return _0, _0, _0, _0, -1
     dx, dy, dz, t, r, g, b, u, v = sample_emitter(
         emitters, e, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 2), uniform(seed, path, dimension, 3), rows, surface
     )
     cosine = sx * dx + sy * dy + sz * dz
     if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
-        return _0, _0, _0, _0
+        return _0, _0, _0, _0, -1
     w = cosine * total / (chosen_estimate * probability)
     if emitters.flags[e] & CASTS_SHADOW:
         ox, oy, oz, dx, dy, dz, end = shadow_ray(scene, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t)
         tr, tg, tb = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end)
         r, g, b = r * tr, g * tg, b * tb
-    return w * r, w * g, w * b, cosine
+    return w * r, w * g, w * b, cosine, e
 
 
 @leaf
 def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
     """The irradiance of `direct_sample_at`."""
-    r, g, b, _ = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension)
+    r, g, b, _, _ = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension)
     return r, g, b
 
 
 @kernel
-def _trace_pending(scene, packet, rows, surface, pending, owner, n, out, glossy):
-    """Trace the n pending rays and add what gets through to their points."""
+def _trace_pending(scene, packet, rows, surface, pending, owner, column, n, out, glossy):
+    """Trace the n pending rays and add what gets through to their points, from column (WIDTH,) on."""
     for lane in range(WIDTH):
         if lane < n:
             p = pending[lane]
@@ -255,13 +255,14 @@ def _trace_pending(scene, packet, rows, surface, pending, owner, n, out, glossy)
                 scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface,
                 p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW,
             )  # fmt: skip
-        out[owner[lane], 0] += p[7] * tr
-        out[owner[lane], 1] += p[8] * tg
-        out[owner[lane], 2] += p[9] * tb
+        c = column[lane]
+        out[owner[lane], c] += p[7] * tr
+        out[owner[lane], c + 1] += p[8] * tg
+        out[owner[lane], c + 2] += p[9] * tb
         if len(glossy) > 0:
-            glossy[owner[lane], 0] += p[10] * tr
-            glossy[owner[lane], 1] += p[11] * tg
-            glossy[owner[lane], 2] += p[12] * tb
+            glossy[owner[lane], c] += p[10] * tr
+            glossy[owner[lane], c + 1] += p[11] * tg
+            glossy[owner[lane], c + 2] += p[12] * tb
 
 
 @kernel
@@ -275,7 +276,7 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
     rows = new_registers(scene.materials)
     surface = np.zeros(SURFACE, np.float32)
     pending = np.zeros((WIDTH, 13), np.float32)
-    owner = np.zeros(WIDTH, np.int64)
+    owner, column = np.zeros(WIDTH, np.int64), np.zeros(WIDTH, np.int64)
     estimate = np.empty(n_groups, np.float32)
     members = np.empty((_BLOCK, CUT), np.int32)
     cdf = np.empty((_BLOCK, CUT), np.float32)
@@ -345,27 +346,28 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
                         fr, fg, fb = _lobe_share(emitters, e, lobes[k], drawn[k], expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
                         fr, fg, fb = fr * w * r, fg * w * gr, fb * w * b
                     w *= cosine
+                    c = 3 * np.int64(emitters.light_group[e])
                     if not emitters.flags[e] & CASTS_SHADOW:
-                        out[i, 0] += w * r
-                        out[i, 1] += w * gr
-                        out[i, 2] += w * b
+                        out[i, c] += w * r
+                        out[i, c + 1] += w * gr
+                        out[i, c + 2] += w * b
                         if lobes[k, ALPHA] > _0:
-                            glossy[i, 0] += fr
-                            glossy[i, 1] += fg
-                            glossy[i, 2] += fb
+                            glossy[i, c] += fr
+                            glossy[i, c + 1] += fg
+                            glossy[i, c + 2] += fb
                         continue
                     p = pending[n]
                     p[0], p[1], p[2], p[3], p[4], p[5], p[6] = shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error[i], dx, dy, dz, t)
                     p[7], p[8], p[9] = w * r, w * gr, w * b
                     p[10], p[11], p[12] = fr, fg, fb
-                    owner[n] = i
+                    owner[n], column[n] = i, c
                     n += 1
                     n_rays += 1
                     if n == WIDTH:
-                        _trace_pending(scene, packet, rows, surface, pending, owner, n, out, glossy)
+                        _trace_pending(scene, packet, rows, surface, pending, owner, column, n, out, glossy)
                         n = np.int64(0)
         if n > 0:
-            _trace_pending(scene, packet, rows, surface, pending, owner, n, out, glossy)
+            _trace_pending(scene, packet, rows, surface, pending, owner, column, n, out, glossy)
     return n_rays
 
 
@@ -383,7 +385,7 @@ def direct_irradiance(scene, points, samples: int, seed: int, threads: int = 0, 
     """Direct irradiance at shading points, as `direct_light`; points need the arrays position, ns, ng and error only.
 
     Returns:
-        ((N, 3) float32 W/m^2, number of rays traced).
+        ((N, 3 G) float32 W/m^2, number of rays traced).
     """
     none = np.zeros((0, 3), np.float32)
     receivers = Receivers(points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none)
@@ -405,17 +407,17 @@ def direct_light(
             (`methods.glossy.reflect`, called with the same numbers).
 
     Returns:
-        ((N, 3) float32 W/m^2, (N, 3) float32 W/m^2/sr, number of rays traced).
+        ((N, 3 G) float32 W/m^2, (N, 3 G) float32 W/m^2/sr, number of rays traced): three columns for each of G light groups.
     """
     receivers = Receivers(*(getattr(points, name) for name in Receivers._fields))
-    glossy = np.zeros((len(points.position), 3), np.float32)
+    glossy = scene.emitters.no_light(len(points.position))
     irradiance, rays = _direct(scene, receivers, samples, reflections, seed, threads, progress, first, glossy)
     return irradiance, glossy, rays
 
 
 def _direct(scene, points: Receivers, samples, reflections, seed, threads, progress, first, glossy):
     n = len(points.position)
-    out = np.zeros((n, 3), np.float32)
+    out = scene.emitters.no_light(n)
     if len(scene.emitters.groups) == 0 or samples < 1:
         return out, 0
 

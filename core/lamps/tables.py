@@ -75,6 +75,7 @@ class LampTables(NamedTuple):
     flags: np.ndarray
     radiance: np.ndarray
     lamps: np.ndarray
+    light_group: np.ndarray
 
 
 class Emitters(NamedTuple):
@@ -93,6 +94,8 @@ class Emitters(NamedTuple):
     groups: (G,) int32, emitters that direct light samples one by one; -1 is the tree.
     emission_cdf: (E + 1,) float64, by flux.  box: (2, 3), corners of the scene's bounding box.
     cutouts: whether anything in the scene lets light through.
+    light_group: (E,) int32, object_light_group: (O,) int32: the light group of each emitter, and of each object's triangles.
+    light_groups: their number G, 1 where light is not told apart.  What adds light up has three columns for each of them.
     vertices, triangles, attributes, materials: of the scene, for triangles.
     """
 
@@ -112,7 +115,14 @@ class Emitters(NamedTuple):
     emission_cdf: np.ndarray
     box: np.ndarray
     cutouts: bool
+    light_group: np.ndarray
+    object_light_group: np.ndarray
+    light_groups: int
     vertices: np.ndarray
     triangles: np.ndarray
     attributes: np.ndarray
     materials: MaterialTables
+
+    def no_light(self, n: int) -> np.ndarray:
+        """Zeros (n, 3 G) float32, to which the light at n points is added."""
+        return np.zeros((n, 3 * self.light_groups), np.float32)

@@ -39,7 +39,7 @@ from ..surfaces.visibility import nearest_surface
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .light_cache import LightCache, find_cell, no_cache
+from .light_cache import LightCache, add_known, find_cell, no_cache
 from .tails import tail_light
 
 CHUNK = 512  # points a chunk
@@ -70,13 +70,14 @@ def _emitter_of(emitters, triangle):
 
 
 @kernel
-def _lamps_along(scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz):
-    """Radiance (r, g, b) of the lamps along d, weighed by the share of rays drawn with the density `drawn`.
+def _lamps_along(
+    scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, wr, wg, wb, shown, i
+):  # fmt: skip
+    """Adds the radiance of the lamps along d, weighed by w and the share of rays drawn with the density `drawn`, to row i of `shown`.
 
     Lamps hide nothing, neither each other nor what lies behind them.
     """
     emitters = scene.emitters
-    r = g = b = _0
     for e in range(len(emitters.source)):
         if not emitters.flags[e] & SEEN_BY_GLOSSY:
             continue
@@ -88,21 +89,21 @@ def _lamps_along(scene, packet, rows, surface, expected, drawn, x, y, z, error, 
         if emitters.flags[e] & CASTS_SHADOW:
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
             tr, tg, tb = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t * _SHORT)
-        r += w * tr * emitters.radiance[e, 0]
-        g += w * tg * emitters.radiance[e, 1]
-        b += w * tb * emitters.radiance[e, 2]
-    return r, g, b
+        c = 3 * emitters.light_group[e]
+        shown[i, c] += wr * w * tr * emitters.radiance[e, 0]
+        shown[i, c + 1] += wg * w * tg * emitters.radiance[e, 1]
+        shown[i, c + 2] += wb * w * tb * emitters.radiance[e, 2]
 
 
 @kernel
 def _reflect_chunk(
     scene, cache, near, row, points, owner, begin, end, samples, most, roulette, seed, first, shown, known, hits, mirror
 ):  # fmt: skip
-    """Draw up to `most` rays from the lobe of each point begin..end-1: emission that they meet is added to `shown` (N, 3).
+    """Draw up to `most` rays from the lobe of each point begin..end-1: emission that they meet is added to `shown` (N, 3 G).
 
     The surfaces met go into `hits`, whose `pixel` is the `owner` (N,) of their point and whose albedo, f0 and f90 hold the
     weight of their ray; one with a narrow lobe reflects (mirror (H,) is 1) or is diffuse (0) at random.  Where the lobe is
-    wider than the cells of the cache, and the surface farther than `near`, what it sends by row `row` is added to `known` (N, 3).
+    wider than the cells of the cache, and the surface farther than `near`, what it sends by row `row` is added to `known` (N, 3 G).
     Returns the number of hits and of rays.
     """
     emitters = scene.emitters
@@ -133,10 +134,9 @@ def _reflect_chunk(
             drawn = np.float32(n) * density
             wr, wg, wb = wr / np.float32(n), wg / np.float32(n), wb / np.float32(n)
             rays += 1
-            r, g, b = _lamps_along(scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz)
-            shown[i, 0] += wr * r
-            shown[i, 1] += wg * g
-            shown[i, 2] += wb * b
+            _lamps_along(
+                scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, wr, wg, wb, shown, i
+            )
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
             triangle, u, v, t, tr, tg, tb = nearest_surface(
                 scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), GLOSSY, key, index, 0
@@ -146,9 +146,10 @@ def _reflect_chunk(
                 if world:
                     share = share_of(drawn, aimed_density(emitters, expected, shining, x, y, z, sx, sy, sz, dx, dy, dz))
                     r, g, b = world_radiance(emitters.world, dx, dy, dz)
-                    shown[i, 0] += share * wr * r
-                    shown[i, 1] += share * wg * g
-                    shown[i, 2] += share * wb * b
+                    c = 3 * emitters.light_group[shining]
+                    shown[i, c] += share * wr * r
+                    shown[i, c + 1] += share * wg * g
+                    shown[i, c + 2] += share * wb * b
                 continue
             material = scene.material[triangle]
             flags = scene.materials.flags[material]
@@ -181,17 +182,16 @@ def _reflect_chunk(
                 share = _1
                 if e >= 0:
                     share = share_of(drawn, aimed_density(emitters, expected, e, x, y, z, sx, sy, sz, dx, dy, dz))
-                shown[i, 0] += share * wr * surface[EMISSION]
-                shown[i, 1] += share * wg * surface[EMISSION + 1]
-                shown[i, 2] += share * wb * surface[EMISSION + 2]
+                c = 3 * emitters.object_light_group[scene.object[triangle]]
+                shown[i, c] += share * wr * surface[EMISSION]
+                shown[i, c + 1] += share * wg * surface[EMISSION + 1]
+                shown[i, c + 2] += share * wb * surface[EMISSION + 2]
             if t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
                 cell = find_cell(
                     cache, px, py, pz, hx, hy, hz, surface_side(material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
                 )
                 if cell >= 0:
-                    known[i, 0] += wr * _INV_PI * cache.radiosity[row, cell, 0]
-                    known[i, 1] += wg * _INV_PI * cache.radiosity[row, cell, 1]
-                    known[i, 2] += wb * _INV_PI * cache.radiosity[row, cell, 2]
+                    add_known(cache, row, cell, wr * _INV_PI, wg * _INV_PI, wb * _INV_PI, known, i)
                     continue
             if roulette:
                 go_on = min(np.float32(0.95), max(wr, wg, wb))
@@ -231,8 +231,8 @@ def _draw(
     scene: Transport, cache: LightCache, near: float, row: int, points: ShadingPoints, owner: np.ndarray, samples: int, most: int,
     roulette: bool, seed: int, threads: int, first: int,
 ):  # fmt: skip
-    """Rays from all points -> (emission met (N, 3), light of the cache (N, 3), diffuse hits, mirrors hit, number of rays)."""
-    shown, known = np.zeros((2, len(owner), 3), np.float32)
+    """Rays from all points -> (emission met (N, 3 G), light of the cache (N, 3 G), diffuse hits, mirrors hit, number of rays)."""
+    shown, known = (scene.emitters.no_light(len(owner)) for _ in range(2))
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * most)
@@ -256,14 +256,14 @@ def has_lobes(points: ShadingPoints) -> bool:
 
 
 def _add(out: np.ndarray, owner: np.ndarray, radiance: np.ndarray) -> None:
-    for c in range(3):
+    for c in range(out.shape[1]):
         out[:, c] += np.bincount(owner, radiance[:, c], len(out))
 
 
 class Reflections(NamedTuple):
     """What rays from the lobes of N points found.
 
-    direct, indirect: (N, 3) float32, radiance, W/m^2/sr.  rays: how many were drawn.  albedo: (N, 3) float32, diffuse
+    direct, indirect: (N, 3 G) float32, radiance, W/m^2/sr, by light groups.  rays: how many were drawn.  albedo: (N, 3) float32, diffuse
     albedo of what mirrors show, times their own: it tells a denoiser where the edges in a mirror are.
     """
 
@@ -289,7 +289,7 @@ def reflect(
         Cancelled: `progress` returned False.
     """
     n = len(points.position)
-    direct, indirect, albedo = np.zeros((3, n, 3), np.float32)
+    direct, indirect, albedo = scene.emitters.no_light(n), scene.emitters.no_light(n), np.zeros((n, 3), np.float32)
     sharp = points.roughness < _SHARP
     cache = no_cache() if cache is None else cache
     total = 0

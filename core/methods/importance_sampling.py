@@ -53,7 +53,7 @@ from ..view.points import ShadingPoints
 from ..vpl_pool import Particles, vpl_pool
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
-from .light_cache import NEAR, LightCache, build_light_cache, find_cell, look_up, seen_light
+from .light_cache import NEAR, LightCache, add_known, build_light_cache, find_cell, look_up, seen_light
 from .probes import trace_probes
 from .tails import path_light
 
@@ -164,15 +164,13 @@ def _gather_leaf(
                         rest = _1 - bright / (bright + tau) * min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
                         wr, wg, wb = wr * rest, wg * rest, wb * rest
                     if t > near:
-                        out[k, 0] += wr * cache.radiosity[bounces - 1, cell, 0]
-                        out[k, 1] += wg * cache.radiosity[bounces - 1, cell, 1]
-                        out[k, 2] += wb * cache.radiosity[bounces - 1, cell, 2]
+                        add_known(cache, bounces - 1, cell, wr, wg, wb, out, k)
                         continue
                 evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
                 sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                 if sx * gx + sy * gy + sz * gz < 0:
                     sx, sy, sz = -sx, -sy, -sz
-                r, g, b = path_light(
+                path_light(
                     scene,
                     single,
                     rows,
@@ -196,10 +194,12 @@ def _gather_leaf(
                     bounces,
                     seed,
                     path,
+                    out,
+                    k,
+                    wr,
+                    wg,
+                    wb,
                 )
-                out[k, 0] += wr * r
-                out[k, 1] += wg * g
-                out[k, 2] += wb * b
     return rays
 
 
@@ -248,9 +248,10 @@ def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, li
             )  # fmt: skip
         k, j = owner[lane], light[lane]
         w = value[lane] * np.float32(3.0) / (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2])
-        out[k, 0] += w * r * vpls.flux[j, 0]
-        out[k, 1] += w * g * vpls.flux[j, 1]
-        out[k, 2] += w * b * vpls.flux[j, 2]
+        c = 3 * scene.emitters.light_group[vpls.emitter[j]]
+        out[k, c] += w * r * vpls.flux[j, 0]
+        out[k, c + 1] += w * g * vpls.flux[j, 1]
+        out[k, c + 2] += w * b * vpls.flux[j, 2]
 
 
 @kernel
@@ -390,9 +391,9 @@ class ImportanceSampling:
         return self.vpls, counts
 
     def irradiance(self, points: ShadingPoints, progress: Progress | None = None, *, first: int = 0) -> np.ndarray:
-        """Indirect irradiance at N points, (N, 3) float32, W/m^2."""
+        """Indirect irradiance at N points, (N, 3 G) float32, W/m^2: three columns for each of G light groups."""
         n = len(points.pixel)
-        out = np.zeros((n, 3), np.float32)
+        out = self.scene.emitters.no_light(n)
         cutouts = bool((self.scene.materials.flags & TRANSPARENT).any())
 
         def work(begin, end):

@@ -178,7 +178,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                 if g <= g_max or not max(wr, wg, wb) > 0:
                     continue
                 w = (g - g_max) / g * share
-                er, eg, eb = path_light(
+                path_light(
                     scene,
                     packet,
                     rows,
@@ -202,10 +202,12 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                     bounces,
                     seed,
                     path,
+                    out,
+                    k,
+                    w * wr,
+                    w * wg,
+                    w * wb,
                 )
-                out[k, 0] += w * wr * er
-                out[k, 1] += w * wg * eg
-                out[k, 2] += w * wb * eb
     return rays
 
 

@@ -37,13 +37,14 @@ MISSED, DIFFUSE_LINK, GLOSSY_LINK = 0, 1, 2
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _HALF = np.float32(0.5)
+_THIRD = np.float32(1 / 3)
 
 
 class Probes(NamedTuple):
     """N surfaces that paths met.
 
     position, normal: (N, 3) float32, the geometric normal on the side that was met.
-    direct: (N, 3) float32, pi times the radiance towards the path by direct light, one sample (W/m^2).
+    direct: (N, 3 G) float32, pi times the radiance towards the path by direct light, one sample (W/m^2), by light groups.
     carry: (N, 3) float32, the same for each unit that the linked surface sends.
     link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
     reflection, 2 by a glossy one.  side, link_side: (N,) int32, as `surface_side` has them.
@@ -63,9 +64,9 @@ class Probes(NamedTuple):
     valid: np.ndarray
 
     @staticmethod
-    def allocate(n: int) -> Probes:
+    def allocate(n: int, light_groups: int = 1) -> Probes:
         """Room for n probes, none of them valid."""
-        rows = [np.zeros((n, 3), np.float32) for _ in range(6)]
+        rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, 3 * light_groups, 3, 3, 3)]
         sides = [np.zeros(n, np.int32) for _ in range(2)]
         return Probes(*rows, np.zeros(n, np.uint8), *sides, np.zeros(n, np.float32), np.zeros(n, np.uint8))
 
@@ -75,7 +76,7 @@ class LightCache(NamedTuple):
 
     origin: (3,) float32.  size: float32, side of the finest cells (m).
     keys: (T,) uint64, slot: (T,) int32, cell of a key, -1 where the slot is free; T is a power of two.
-    radiosity: (B, C, 3) float32 W/m^2, in row b the light that left up to b + 1 surfaces.
+    radiosity: (B, C, 3 G) float32 W/m^2, in row b the light that left up to b + 1 surfaces, by light groups.
     bright: (C,) float32, mean of the channels of the radiosity, from other paths: weights that
         hang on it are independent of the radiosity's noise, and so do not bias the product.
     """
@@ -155,6 +156,15 @@ def find_cell(cache, x, y, z, nx, ny, nz, side, u1, u2):
     return np.int64(-1)
 
 
+@leaf
+def add_known(cache, row, cell, wr, wg, wb, out, i):
+    """Adds the light of a cell that left up to `row` + 1 surfaces, weighed by w, to row i of `out` (N, 3 G)."""
+    for c in range(0, out.shape[1], 3):
+        out[i, c] += wr * cache.radiosity[row, cell, c]
+        out[i, c + 1] += wg * cache.radiosity[row, cell, c + 1]
+        out[i, c + 2] += wb * cache.radiosity[row, cell, c + 2]
+
+
 @kernel
 def _insert(probes, origin, size, seed, keys, slot, cells, level_of, centre, side_of):
     """Hash all probes at all levels: `cells` (N, LEVELS) int32; the number of cells, or -1 where the table is too small.
@@ -226,7 +236,7 @@ def _solve(
     probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, level_of: np.ndarray,
     near: np.float32, radiosity: np.ndarray, threads: int,
 ) -> None:  # fmt: skip
-    """Fills the radiosity (B, C, 3) of all cells after each bounce, by the links of their probes.
+    """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
 
     cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
     """
@@ -238,17 +248,17 @@ def _solve(
     row = np.arange(len(probes.valid))
     knows = np.flatnonzero((probes.valid > 0) & ((row // DEPTH) % GUIDES != 0))
     weight = np.where((knows % DEPTH == 0) & (probes.distance[knows] > near), _1, LATER)
-    direct, number, squares, unit, linked = (np.zeros((count, k), np.float32) for k in (3, 1, 2, 1, 1))
+    direct, number, squares, unit, linked = (np.zeros((count, k), np.float32) for k in (probes.direct.shape[1], 1, 2, 1, 1))
     places = np.ascontiguousarray(cells[knows].T)
     light = probes.direct[knows]
-    bright = light.mean(axis=1)
+    bright = _THIRD * light.sum(axis=1)
     _add(places, weight[:, None] * light, direct, threads)
     _add(places, weight[:, None], number, threads)
     _add(places, (weight * (link_cell[knows] != -1))[:, None], linked, threads)
     _add(places, np.column_stack([weight * bright * bright, weight * weight]), squares, threads)
     number, linked = number[:, 0], linked[:, 0]
     unit = np.divide(squares[:, 1], number, out=np.ones(count, np.float32), where=number > 0)
-    likeness = _likeness(parent, level_of, number, squares, direct.mean(axis=1))
+    likeness = _likeness(parent, level_of, number, squares, _THIRD * direct.sum(axis=1))
     _smooth(direct, number, unit, parent, order, likeness)
     sending = link_cell[knows] >= 0
     places, link = np.ascontiguousarray(places[:, sending]), link_cell[knows[sending]]
@@ -266,7 +276,7 @@ def _solve(
         bounce = turn // turns
         if turn % turns == 0 and turns > 1 and bounce > 0:
             radiosity[bounce] = radiosity[bounce - 1]
-        total = np.zeros((count, 3), np.float32)
+        total = np.zeros_like(direct)
 
         def send(begin: int, end: int, bounce=bounce, total=total) -> None:
             for level in range(begin, end):
@@ -302,8 +312,22 @@ def _send(cell, link, carry, glossy, radiosity, bounce, total):
     for i in range(len(cell)):
         row = bounce if glossy[i] else bounce - 1
         if row >= 0:
-            for k in range(3):
-                total[cell[i], k] += carry[i, k] * radiosity[row, link[i], k]
+            to, source = total[cell[i]], radiosity[row, link[i]]
+            r, g, b = carry[i, 0], carry[i, 1], carry[i, 2]
+            for c in range(0, len(to), 3):
+                to[c] += r * source[c]
+                to[c + 1] += g * source[c + 1]
+                to[c + 2] += b * source[c + 2]
+
+
+@leaf
+def _carried(carry, i, radiosity, row, cell):
+    """What link i carries of a cell's light, sum of the channels of all light groups."""
+    total = _0
+    for c in range(0, radiosity.shape[2], 3):
+        for k in range(3):
+            total += carry[i, k] * radiosity[row, cell, c + k]
+    return total
 
 
 @kernel
@@ -319,11 +343,11 @@ def _balance(sent, seen, carry, link, glossy, root, trust, bounce, radiosity, su
         own = sent[i]
         row = bounce if glossy[i] else bounce - 1
         if link[i] >= 0 and row >= 0:
-            for k in range(3):
-                own += carry[i, k] * radiosity[row, link[i], k]
+            own += _carried(carry, i, radiosity, row, link[i])
         at = root[seen[i]]
         sums[at, 0] += own
-        sums[at, 1] += radiosity[bounce, seen[i], 0] + radiosity[bounce, seen[i], 1] + radiosity[bounce, seen[i], 2]
+        for k in range(radiosity.shape[2]):
+            sums[at, 1] += radiosity[bounce, seen[i], k]
     whole = found = _0
     for c in range(len(root)):
         whole += sums[c, 0]
@@ -336,7 +360,7 @@ def _balance(sent, seen, carry, link, glossy, root, trust, bounce, radiosity, su
         # The factor of the whole view stands in where few probes know better.
         factor = (sums[at, 0] + known * whole / found) / max(sums[at, 1] + known, np.float32(1e-30))
         factor = min(MOST_BALANCE, max(_1 / MOST_BALANCE, factor))
-        for k in range(3):
+        for k in range(radiosity.shape[2]):
             radiosity[bounce, c, k] *= factor
 
 
@@ -372,7 +396,7 @@ def _likeness(parent: np.ndarray, level_of: np.ndarray, number: np.ndarray, squa
 
 @kernel
 def _smooth(values, number, unit, parent, order, likeness):
-    """Turns the sums (C, 3) of cells into means; a coarser cell stands in for what a finer one has not seen.
+    """Turns the sums (C, 3 G) of cells into means; a coarser cell stands in for what a finer one has not seen.
 
     number: (C,) the sum of the weights.  unit: (C,) what a probe of the cell weighs.  likeness: (C,) as how many probes the
     coarser cell counts.  order: (C,) the cells, the coarsest first.
@@ -381,9 +405,13 @@ def _smooth(values, number, unit, parent, order, likeness):
         up = parent[c]
         # What knows nothing itself takes all from the coarser one.
         weight = (likeness[c] * unit[c] if number[c] > _0 else _1) if up >= 0 else _0
-        for k in range(3):
-            own = values[c, k] + (weight * values[up, k] if up >= 0 else _0)
-            values[c, k] = own / max(number[c] + weight, np.float32(1e-6))
+        inverse = _1 / max(number[c] + weight, np.float32(1e-6))
+        weight *= inverse
+        for k in range(values.shape[1]):
+            values[c, k] *= inverse
+        if up >= 0:
+            for k in range(values.shape[1]):
+                values[c, k] += weight * values[up, k]
 
 
 @inlined
@@ -398,13 +426,14 @@ def _brightness(probes, cells, link_cell, parent, level_of, prior, radiosity, br
     for p in range(len(probes.valid)):
         if not probes.valid[p] or not _guides(p) or link_cell[p] == -1:
             continue
-        light = probes.direct[p, 0] + probes.direct[p, 1] + probes.direct[p, 2]
+        light = _0
+        for k in range(probes.direct.shape[1]):
+            light += probes.direct[p, k]
         row = len(radiosity) - (1 if probes.link[p] == GLOSSY_LINK else 2)
         if link_cell[p] >= 0 and row >= 0:
-            for k in range(3):
-                light += probes.carry[p, k] * radiosity[row, link_cell[p], k]
+            light += _carried(probes.carry, p, radiosity, row, link_cell[p])
         for level in range(LEVELS):
-            bright[cells[p, level]] += light * np.float32(1 / 3)
+            bright[cells[p, level]] += light * _THIRD
             number[cells[p, level]] += _1
     for level in range(LEVELS - 1, -1, -1):
         for c in range(len(parent)):
@@ -451,7 +480,7 @@ def build_light_cache(probes: Probes, bounces: int, seed: int, threads: int = 0)
         count = _insert(probes, origin, size, np.uint32(seed), keys, slot, cells, level_of, centre, side_of)
         room *= 2
     level_of, centre, side_of = level_of[:count].copy(), centre[:count].copy(), side_of[:count].copy()
-    radiosity = np.zeros((bounces, count, 3), np.float32)
+    radiosity = np.zeros((bounces, count, probes.direct.shape[1]), np.float32)
     cache = LightCache(origin, size, keys, slot, radiosity, np.zeros(count, np.float32))
     parent = _parents(cache, level_of, centre, side_of)
     link_cell = np.empty(len(probes.valid), np.int64)
@@ -503,4 +532,4 @@ def seen_light(cache: LightCache, probes: Probes, seed: int) -> float:
     first = slice(0, None, DEPTH)
     cell = look_up(cache, probes.position[first], probes.normal[first], probes.side[first], seed)
     found = (probes.valid[first] > 0) & (cell >= 0)
-    return float(np.where(found, cache.radiosity[-1].mean(axis=1)[np.maximum(cell, 0)] if len(cache.bright) else 0.0, 0.0).mean())
+    return float(np.where(found, _THIRD * cache.radiosity[-1].sum(axis=1)[np.maximum(cell, 0)] if len(cache.bright) else 0.0, 0.0).mean())

@@ -23,6 +23,7 @@ from .tails import DIMENSIONS, scatter_light
 
 CHUNK = 512  # paths a chunk
 LAMP_RAYS = 4  # shadow rays of a probe: what is stored serves many
+_1 = np.float32(1.0)
 
 
 @leaf
@@ -66,11 +67,11 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
         probes.side[probe] = side
         probes.position[probe, 0], probes.position[probe, 1], probes.position[probe, 2] = x, y, z
         probes.normal[probe, 0], probes.normal[probe, 1], probes.normal[probe, 2] = gx, gy, gz
-        er, eg, eb, tx, ty, tz, r, g, b, kinds = scatter_light(
-            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, LAMP_RAYS, True, seed, path, at
-        )
+        tx, ty, tz, r, g, b, kinds = scatter_light(
+            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, LAMP_RAYS, True, seed, path, at,
+            probes.direct, probe, _1, _1, _1,
+        )  # fmt: skip
         rays += LAMP_RAYS
-        probes.direct[probe, 0], probes.direct[probe, 1], probes.direct[probe, 2] = er, eg, eb
         probes.carry[probe, 0], probes.carry[probe, 1], probes.carry[probe, 2] = r, g, b
         if kinds == 0:
             return rays
@@ -99,7 +100,7 @@ def trace_probes(
     scene: Transport, points: ShadingPoints, paths: int, seed: int, threads: int = 0, progress: Progress | None = None
 ) -> tuple[Probes, int]:
     """Probes along `paths` paths that begin at points spread evenly over the view; the number of rays traced."""
-    probes = Probes.allocate(paths * DEPTH)
+    probes = Probes.allocate(paths * DEPTH, scene.emitters.light_groups)
     offsets = np.random.default_rng(seed).random(paths)
     start = np.minimum(((np.arange(paths) + offsets) * (len(points.pixel) / paths)).astype(np.int64), len(points.pixel) - 1)
 

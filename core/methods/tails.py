@@ -28,7 +28,7 @@ from ..surfaces.visibility import nearest_surface
 from ..threads import run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .light_cache import LightCache, find_cell, no_cache
+from .light_cache import LightCache, add_known, find_cell, no_cache
 
 CHUNK = 1024  # points a chunk
 _0 = np.float32(0.0)
@@ -42,35 +42,37 @@ DIMENSIONS = 100
 
 @leaf
 def scatter_light(
-    scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, lamp_rays, diffuse, seed, path, at
+    scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, lamp_rays, diffuse, seed, path, at,
+    out, i, kr, kg, kb,
 ):  # fmt: skip
     """What a surface sends towards w at first hand, and a ray that finds the rest.
 
     (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
     overwritten.  lobe: (LOBE,) float32, scratch.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn.  at: first dimension.
+    out: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i.
 
-    Returns (er, eg, eb, dx, dy, dz, wr, wg, wb, kinds): pi times the radiance by direct light (W/m^2), the ray's
-    direction, its weight and its kind, 0 where there is none.
+    Returns (dx, dy, dz, wr, wg, wb, kinds): the ray's direction, its weight and its kind, 0 where there is none.
     """
     cosine = min(_1, abs(sx * wx + sy * wy + sz * wz))
     dr, dg, db = diffuse_albedo(surface, cosine)
     roughness = surface[ROUGHNESS]
     f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
     f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]
-    er = eg = eb = _0
-    for k in range(lamp_rays):
-        r, g, b, cosine = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, at + 20 + k)
-        rise = glossy_rise(cosine, roughness)
-        er += r * (dr + f0r + rise * (f90r - f0r))
-        eg += g * (dg + f0g + rise * (f90g - f0g))
-        eb += b * (db + f0b + rise * (f90b - f0b))
     share = _1 / np.float32(lamp_rays)
-    er, eg, eb = er * share, eg * share, eb * share
+    for k in range(lamp_rays):
+        r, g, b, cosine, e = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, at + 20 + k)
+        if e < 0:
+            continue
+        rise = glossy_rise(cosine, roughness)
+        c = 3 * scene.emitters.light_group[e]
+        out[i, c] += kr * share * r * (dr + f0r + rise * (f90r - f0r))
+        out[i, c + 1] += kg * share * g * (dg + f0g + rise * (f90g - f0g))
+        out[i, c + 2] += kb * share * b * (db + f0b + rise * (f90b - f0b))
     set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b)
     glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
     dull = _THIRD * (dr + dg + db) if diffuse else _0
     if not glossy + dull > _0:
-        return er, eg, eb, sx, sy, sz, _0, _0, _0, 0
+        return sx, sy, sz, _0, _0, _0, 0
     chance = glossy / (glossy + dull)
     u1, u2 = uniform(seed, path, at, 6), uniform(seed, path, at, 7)
     kinds = GLOSSY
@@ -84,29 +86,30 @@ def scatter_light(
         kinds = DIFFUSE
     if not max(r, g, b) > _0 or gx * dx + gy * dy + gz * dz <= _0:
         kinds = 0
-    return er, eg, eb, dx, dy, dz, r / chance, g / chance, b / chance, kinds
+    return dx, dy, dz, r / chance, g / chance, b / chance, kinds
 
 
 @leaf
 def path_light(
-    scene, packet, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, bounces, seed, path
+    scene, packet, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, bounces, seed, path,
+    out, i, kr, kg, kb,
 ):  # fmt: skip
-    """One sample of pi times the radiance that a surface sends towards w: direct light, and light of further surfaces.
+    """Adds one sample of pi times the radiance that a surface sends towards w, weighed by k, to row i of `out`.
+
+    That is direct light, and light of further surfaces.
 
     The arguments as in `scatter_light`.  bounces: diffuse reflections at most; the first one after a lamp counts even if it
     is glossy.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
-
-    Returns (r, g, b) in W/m^2.
+    out: (N, 3 G) float32 W/m^2, three columns for each light group.
     """
-    er = eg = eb = _0
     wr = wg = wb = _1
     left = bounces - 1
     for vertex in range(bounces + _MORE_SURFACES):
         at = vertex * DIMENSIONS
-        r, g, b, dx, dy, dz, tr, tg, tb, kinds = scatter_light(
-            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, 1, left > 0, seed, path, at
-        )
-        er, eg, eb = er + wr * r, eg + wg * g, eb + wb * b
+        dx, dy, dz, tr, tg, tb, kinds = scatter_light(
+            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, 1, left > 0, seed, path, at,
+            out, i, kr * wr, kg * wg, kb * wb,
+        )  # fmt: skip
         if kinds == 0:
             break
         if kinds == DIFFUSE:
@@ -134,12 +137,9 @@ def path_light(
                 cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, at, 60), uniform(seed, path, at, 61)
             )  # fmt: skip
             if cell >= 0:
-                er += wr * cache.radiosity[left, cell, 0]
-                eg += wg * cache.radiosity[left, cell, 1]
-                eb += wb * cache.radiosity[left, cell, 2]
+                add_known(cache, left, cell, kr * wr, kg * wg, kb * wb, out, i)
                 break
         wx, wy, wz = -dx, -dy, -dz
-    return er, eg, eb
 
 
 @kernel
@@ -161,12 +161,12 @@ def _tail_chunk(scene, cache, near, points, begin, end, bounces, seed, out):
             surface[layout.DIFFUSE + c] = inverse * points.albedo[i, c]
             surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c] = inverse * points.f0[i, c], inverse * points.f90[i, c]
         surface[ROUGHNESS] = points.roughness[i]
-        r, g, b = path_light(
+        path_light(
             scene, packet, rows, surface, lobe, cache, near, points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
             points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], bounces, seed, np.uint32(i),
+            out, i, weight, weight, weight,
         )  # fmt: skip
-        out[i, 0], out[i, 1], out[i, 2] = weight * r, weight * g, weight * b
 
 
 def tail_light(
@@ -178,8 +178,8 @@ def tail_light(
     cache: LightCache | None = None,
     near: float = np.inf,
 ) -> np.ndarray:
-    """One sample of `path_light` at each of N points towards their viewers, (N, 3) float32 W/m^2."""
-    out = np.zeros((len(points.pixel), 3), np.float32)
+    """One sample of `path_light` at each of N points towards their viewers, (N, 3 G) float32 W/m^2."""
+    out = scene.emitters.no_light(len(points.pixel))
     cache = no_cache() if cache is None else cache
 
     def work(begin, end):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 import numpy as np
 
 from ..denoise import Denoiser
-from ..lamps import Emitters, build_emitters
+from ..lamps import Emitters, LightGroups, build_emitters
 from ..particles import Vpls, trace_particles
 from ..picture import Picture
 from ..rays import RayScene
@@ -125,10 +125,10 @@ class Sequence:
         self.built["rays"] += 1
         return self._rays
 
-    def emitters(self, scene: Scene) -> Emitters:
-        """The tables of the scene's lights."""
+    def emitters(self, scene: Scene, groups: LightGroups | None = None) -> Emitters:
+        """The tables of the scene's lights; groups: the light groups to tell apart, None for none."""
         if self._emitters is None:
-            self._emitters = build_emitters(scene)
+            self._emitters = build_emitters(scene, groups=groups)
             self.built["emitters"] += 1
         return self._emitters
 

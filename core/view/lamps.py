@@ -9,6 +9,7 @@ import numpy as np
 
 from ..jit import kernel, leaf
 from ..lamps.build import lamp_tables
+from ..lamps.groups import LightGroups
 from ..lamps.lookup import lamp_along
 from ..lamps.tables import POSITION, RADIUS, SIZE, LampTables
 from ..scene import AREA, CAMERA, SUN, TRANSMISSION, Scene
@@ -20,12 +21,14 @@ _HALF = np.float32(0.5)
 _INFINITY = np.float32(np.inf)
 
 
-def visible_lamps(scene: Scene) -> LampTables:
-    """The lamps with a size that camera rays may meet, before glass or behind it."""
+def visible_lamps(scene: Scene, groups: LightGroups | None = None) -> LampTables:
+    """The lamps with a size that camera rays may meet, before glass or behind it; groups: the light groups to tell apart, None for none."""
+    groups = LightGroups.one(scene) if groups is None else groups
     lamps = scene.lamps
     sized = np.where(lamps.kind == SUN, lamps.angle, np.where(lamps.kind == AREA, 1, lamps.radius)) > 0
     finite = np.isfinite(lamps.emission.reshape(-1, 3)).all(1)
-    return lamp_tables(replace(scene, lamps=lamps.take(sized & finite)), CAMERA | TRANSMISSION)
+    kept = sized & finite
+    return lamp_tables(replace(scene, lamps=lamps.take(kept)), CAMERA | TRANSMISSION, groups.lamps[kept])
 
 
 @leaf
@@ -64,19 +67,16 @@ def lamps_in_tile(lamps, camera, x0, y0, x1, y1, near):
 
 
 @kernel
-def lamps_between(lamps, near, n, seen_by, ox, oy, oz, dx, dy, dz, start, end):
-    """Radiance (r, g, b) of the lamps near[0..n-1] whose distance along the unit direction d from o lies in start..end.
+def lamps_between(lamps, near, n, seen_by, ox, oy, oz, dx, dy, dz, start, end, weight, out):
+    """Adds the radiance of the lamps near[0..n-1] whose distance along the unit direction d from o lies in start..end to `out` (G, 3).
 
-    seen_by: SEEN_BY_CAMERA or SEEN_THROUGH_GLASS.
+    seen_by: SEEN_BY_CAMERA or SEEN_THROUGH_GLASS.  weight: (3,) float32.
     """
-    r = g = b = _0
     for k in range(n):
         i = near[k]
         if not lamps.flags[i] & seen_by:
             continue
         t, share = lamp_along(lamps, i, ox, oy, oz, dx, dy, dz)
         if share > _0 and start <= t and t <= end:
-            r += share * lamps.radiance[i, 0]
-            g += share * lamps.radiance[i, 1]
-            b += share * lamps.radiance[i, 2]
-    return r, g, b
+            for c in range(3):
+                out[lamps.light_group[i], c] += weight[c] * share * lamps.radiance[i, c]

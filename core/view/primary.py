@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
+from ..lamps.groups import LightGroups
 from ..lamps.tables import SEEN_BY_CAMERA, SEEN_THROUGH_GLASS
 from ..lamps.world import world_radiance
 from ..rays.offsets import hit_point
@@ -53,8 +54,9 @@ WORLD_DEPTH = np.float32(1e10)  # what Blender's depth pass has where nothing is
 SAME_NORMAL = np.float32(0.9)
 SAME_PLANE = np.float32(0.5)
 SAME_REACH = np.float32(3.0)
-# Columns of the pixels' layers; what is emitted three times, behind no glass, one surface of it, and more.
-ALBEDO, NORMALS, POSITION, DEPTH, EMITTED, LAYERS = 0, 3, 6, 9, 10, 19
+# Columns of the pixels' layers; what is emitted by each light group, behind no glass, one surface of it, and more, comes last.
+ALBEDO, NORMALS, POSITION, DEPTH, EMITTED = 0, 3, 6, 9, 10
+GLASS = 3  # kinds of what is emitted: behind no glass, one surface of it, and more
 # Bits of the way that a sample takes at a surface: it shows it, passes straight through, passes through glass.
 SHOWN, STRAIGHT, REFRACTED = 1, 2, 4
 _0 = np.float32(0.0)
@@ -65,18 +67,16 @@ _1 = np.float32(1.0)
 class View:
     """What the camera sees of a scene, before any light but that of surfaces, lamps and world themselves.
 
-    albedo, emission: (H, W, 3);  normal, position: (H, W, 3);  depth: (H, W); all float32.  Where there is glass they are
-        the pane's; emission_behind_one, emission_behind_more: (H, W, 3), emission behind one surface of glass, and behind more.
+    albedo, normal, position: (H, W, 3);  depth: (H, W); all float32.  Where there is glass they are the pane's.
+    emitted: (G, 3, H, W, 3) float32, light of each light group that is emitted behind no glass, one surface of it, and more.
     points: the shading points, whose `pixel` counts row-major over H x W.  rays: primary rays traced.
     """
 
     albedo: np.ndarray
-    emission: np.ndarray
-    emission_behind_one: np.ndarray
-    emission_behind_more: np.ndarray
     normal: np.ndarray
     position: np.ndarray
     depth: np.ndarray
+    emitted: np.ndarray
     points: ShadingPoints
     rays: int
 
@@ -84,6 +84,21 @@ class View:
     def shape(self) -> tuple[int, int]:
         """Height and width in pixels."""
         return self.depth.shape
+
+    @property
+    def emission(self) -> np.ndarray:
+        """(H, W, 3) float32, what all light groups emit behind no glass."""
+        return self.emitted[:, 0].sum(axis=0)
+
+    @property
+    def emission_behind_one(self) -> np.ndarray:
+        """The same behind one surface of glass."""
+        return self.emitted[:, 1].sum(axis=0)
+
+    @property
+    def emission_behind_more(self) -> np.ndarray:
+        """The same behind several."""
+        return self.emitted[:, 2].sum(axis=0)
 
 
 @kernel
@@ -104,7 +119,7 @@ class _Samples(NamedTuple):
     count: (16,) int32, rows of each pixel, at most R = (1 + PANES) P.
     hits: (16, R, 3) float32, bits of the triangle (-1 for none), u and v.  weight, direction: (16, R, 3) float32.
     depth: (16, R) float32 (m).  glass: (16, R) int32, surfaces of glass before it.
-    lamps: (16, 3, 3) float32, light of the lamps in view, summed over the samples, by the surfaces of glass before it.
+    lamps: (16, GLASS, G, 3) float32, light of the lamps in view, summed over the samples, by the surfaces of glass before it.
     """
 
     count: np.ndarray
@@ -117,12 +132,12 @@ class _Samples(NamedTuple):
 
 
 @kernel
-def _new_samples(samples):
+def _new_samples(samples, light_groups):
     """Room for a tile."""
     f, rows = np.float32, (1 + PANES) * samples
     return _Samples(
         np.empty(WIDTH, np.int32), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f),
-        np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), np.int32), np.empty((WIDTH, 3, 3), f),
+        np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), np.int32), np.empty((WIDTH, GLASS, light_groups, 3), f),
     )  # fmt: skip
 
 
@@ -166,7 +181,7 @@ def _way_on(surface, x, split):
 @kernel
 def _trace_tile(rays, camera, materials, geometry, lamps, tx, ty, samples, seed, packet, rows, surface, seen):
     """Trace the samples of the tile whose first pixel is (tx, ty) into `seen`; the number of rays."""
-    vertices, triangle_vertices, corner_normals, attributes, material, _ = geometry
+    vertices, triangle_vertices, corner_normals, attributes, material, _, _ = geometry
     hits, weight, direction, depth, glass = seen.hits, seen.weight, seen.direction, seen.depth, seen.glass
     x1, y1 = camera.border[2], camera.border[3]
     origin = np.empty((WIDTH, 3), np.float32)
@@ -207,15 +222,12 @@ def _trace_tile(rays, camera, materials, geometry, lamps, tx, ty, samples, seed,
                     continue
                 if n_lamps > 0:
                     end = hit_t(packet, lane) if triangle >= 0 else np.float32(np.inf)
-                    r, g, b = lamps_between(
+                    lamps_between(
                         lamps, near_lamps, n_lamps, SEEN_THROUGH_GLASS if glass[lane, s] > 0 else SEEN_BY_CAMERA,
                         origin[lane, 0], origin[lane, 1], origin[lane, 2],
                         direction[lane, s, 0], direction[lane, s, 1], direction[lane, s, 2], passed[lane], end,
+                        weight[lane, s], seen.lamps[lane, min(glass[lane, s], 2)],
                     )  # fmt: skip
-                    before = min(glass[lane, s], 2)
-                    seen.lamps[lane, before, 0] += weight[lane, s, 0] * r
-                    seen.lamps[lane, before, 1] += weight[lane, s, 1] * g
-                    seen.lamps[lane, before, 2] += weight[lane, s, 2] * b
                 if triangle < 0:
                     disable_ray(packet, lane)
                     continue
@@ -261,14 +273,17 @@ def _trace_tile(rays, camera, materials, geometry, lamps, tx, ty, samples, seed,
 
 
 @kernel
-def _view_tiles(rays, camera, materials, geometry, lamps, world, world_visibility, begin, end, samples, seed, points, layers):
+def _view_tiles(
+    rays, camera, materials, geometry, lamps, world, world_visibility, world_group, begin, end, samples, seed, points, layers
+):  # fmt: skip
     """Trace, evaluate and group the samples of the tiles begin..end-1.
 
-    geometry: (vertices, triangles, corner_normals, attributes, material, object).  points: room for all that
-    can come.  layers: (H * W, LAYERS) float32.
+    geometry: (vertices, triangles, corner_normals, attributes, material, object, light group of each object).
+    world_group: light group of the world.  points: room for all that can come.  layers: (H * W, EMITTED + 9 G) float32.
     Returns the number of points and of rays.
     """
-    vertices, triangle_vertices, corner_normals, attributes, material, object_of = geometry
+    vertices, triangle_vertices, corner_normals, attributes, material, object_of, light_group = geometry
+    light_groups = (layers.shape[1] - EMITTED) // (3 * GLASS)
     x0, y0, x1, y1 = camera.border[0], camera.border[1], camera.border[2], camera.border[3]
     width = x1 - x0
     tiles_x = (width + TILE - 1) // TILE
@@ -276,7 +291,7 @@ def _view_tiles(rays, camera, materials, geometry, lamps, world, world_visibilit
     packet = new_packet()
     surface = np.zeros(SURFACE, np.float32)
     rows = new_registers(materials)
-    seen = _new_samples(samples)
+    seen = _new_samples(samples, light_groups)
     weight, direction, depth, glass = seen.weight, seen.direction, seen.depth, seen.glass
     triangles = seen.hits.view(np.int32)
     # Of each row of a pixel: position, error, ng, ns.  Of each group: first row; count and sums.
@@ -298,9 +313,10 @@ def _view_tiles(rays, camera, materials, geometry, lamps, world, world_visibilit
                 continue
             pixel = (py - y0) * width + (px - x0)
             out = layers[pixel]
-            for before in range(3):
-                for c in range(3):
-                    out[EMITTED + 3 * before + c] = share * seen.lamps[lane, before, c]
+            for before in range(GLASS):
+                for lit_by in range(light_groups):
+                    for c in range(3):
+                        out[EMITTED + 3 * (GLASS * lit_by + before) + c] = share * seen.lamps[lane, before, lit_by, c]
             nearest = -1
             groups = 0
             for s in range(seen.count[lane]):
@@ -308,9 +324,10 @@ def _view_tiles(rays, camera, materials, geometry, lamps, world, world_visibilit
                 dx, dy, dz = direction[lane, s, 0], direction[lane, s, 1], direction[lane, s, 2]
                 wr, wg, wb = weight[lane, s, 0] * share, weight[lane, s, 1] * share, weight[lane, s, 2] * share
                 behind_glass = glass[lane, s] > 0
-                emitted = EMITTED + 3 * min(glass[lane, s], 2)
+                before = EMITTED + 3 * min(glass[lane, s], 2)
                 group_of[s] = -1
                 if triangle < 0:
+                    emitted = before + 3 * GLASS * world_group
                     if world_visibility & (TRANSMISSION if behind_glass else CAMERA):
                         er, eg, eb = world_radiance(world, dx, dy, dz)
                         out[emitted] += wr * er
@@ -336,6 +353,7 @@ def _view_tiles(rays, camera, materials, geometry, lamps, world, world_visibilit
                     out[ALBEDO] += ar
                     out[ALBEDO + 1] += ag
                     out[ALBEDO + 2] += ab
+                emitted = before + 3 * GLASS * light_group[object_of[triangle]]
                 out[emitted] += wr * surface[EMISSION]
                 out[emitted + 1] += wg * surface[EMISSION + 1]
                 out[emitted + 2] += wb * surface[EMISSION + 2]
@@ -411,32 +429,40 @@ def _view_tiles(rays, camera, materials, geometry, lamps, world, world_visibilit
     return n_points, n_rays
 
 
-def view(scene: Scene, rays, world, samples: int, seed: int, threads: int = 0, progress: Progress | None = None) -> View:
-    """Trace `samples` primary rays a pixel of the camera's border; `rays` and `world` are the tables of those rooms."""
+def view(
+    scene: Scene, rays, world, samples: int, seed: int, threads: int = 0, progress: Progress | None = None,
+    groups: LightGroups | None = None,
+) -> View:  # fmt: skip
+    """Trace `samples` primary rays a pixel of the camera's border; `rays` and `world` are the tables of those rooms.
+
+    groups: the light groups to tell apart, None for none.
+    """
+    groups = LightGroups.one(scene) if groups is None else groups
     camera = camera_tables(scene.camera)
     x0, y0, x1, y1 = (int(b) for b in camera.border)
     height, width = y1 - y0, x1 - x0
-    layers = np.zeros((height * width, LAYERS), np.float32)
+    layers = np.zeros((height * width, EMITTED + 3 * GLASS * len(groups.names)), np.float32)
     tiles = -(-width // TILE) * -(-height // TILE)
     chunk = 16
     g = scene.geometry
-    geometry = (g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object)
-    lamps = visible_lamps(scene)
+    geometry = (g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object, groups.objects)
+    lamps = visible_lamps(scene, groups)
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * WIDTH * (1 + PANES) * samples)
         n, n_rays = _view_tiles(
-            rays, camera, scene.materials.tables, geometry, lamps, world, scene.world.visibility,
+            rays, camera, scene.materials.tables, geometry, lamps, world, scene.world.visibility, groups.world,
             begin, end, samples, np.uint32(seed), room, layers,
         )  # fmt: skip
         return room.first(n), n_rays
 
     parts = run_chunks(work, tiles, chunk, threads, progress)
-    shaped = layers.reshape(height, width, LAYERS)
-    starts = (ALBEDO, EMITTED, EMITTED + 3, EMITTED + 6, NORMALS, POSITION)
+    shaped = layers.reshape(height, width, -1)
+    emitted = shaped[..., EMITTED:].reshape(height, width, len(groups.names), GLASS, 3)
     return View(
-        *(np.ascontiguousarray(shaped[..., at : at + 3]) for at in starts),
+        *(np.ascontiguousarray(shaped[..., at : at + 3]) for at in (ALBEDO, NORMALS, POSITION)),
         np.ascontiguousarray(shaped[..., DEPTH]),
+        np.ascontiguousarray(emitted.transpose(2, 3, 0, 1, 4)),
         ShadingPoints.concatenate([part for part, _ in parts]),
         sum(n for _, n in parts),
     )
