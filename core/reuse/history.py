@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import uniform_filter
+import scipy
 
 from ..jit import inlined, kernel
 from ..picture import Picture
@@ -201,7 +201,7 @@ def trust(now: np.ndarray, earlier: np.ndarray, coverage: np.ndarray) -> np.ndar
     """Weight (H, W) of an earlier frame's light (H, W, 3) beside the present one's, where the light itself may have changed."""
     known = (coverage > 0).astype(np.float64)
     difference = known * (now.astype(np.float64) - earlier).mean(axis=2)
-    count, mean, square = (uniform_filter(a, NEIGHBOURHOOD, mode="constant") for a in (known, difference, difference**2))
+    count, mean, square = (scipy.ndimage.uniform_filter(a, NEIGHBOURHOOD, mode="constant") for a in (known, difference, difference**2))
     count = np.maximum(count, 1e-9)
     mean, square = mean / count, square / count
     variance = np.maximum(square - mean**2, 0)

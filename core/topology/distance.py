@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ..jit import kernel
 from ..threads import run_chunks
@@ -21,7 +21,7 @@ def distance_map(empty: np.ndarray, *, closed: bool = True) -> np.ndarray:
         empty = np.pad(empty, 1)
     elif empty.all():
         return np.full(empty.shape, _LARGEST, np.uint8)
-    distance = np.minimum(ndimage.distance_transform_cdt(empty, "chessboard"), _LARGEST).astype(np.uint8)
+    distance = np.minimum(scipy.ndimage.distance_transform_cdt(empty, "chessboard"), _LARGEST).astype(np.uint8)
     return np.ascontiguousarray(distance[1:-1, 1:-1, 1:-1]) if closed else distance
 
 

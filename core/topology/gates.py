@@ -9,8 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
+import scipy
 
 from .segmentation import Segmented
 from .skeleton import Skeleton
@@ -138,8 +137,8 @@ def _connected(pairs: np.ndarray, places: np.ndarray, signs: np.ndarray, shape) 
     order = np.lexsort((pairs[owner, 1], pairs[owner, 0], key))
     key, owner = key[order], owner[order]
     same = (key[1:] == key[:-1]) & (pairs[owner[1:]] == pairs[owner[:-1]]).all(axis=1)
-    links = sparse.coo_array((np.ones(same.sum(), np.int8), (owner[:-1][same], owner[1:][same])), (count, count))
-    return csgraph.connected_components(links, directed=False)[1]
+    links = scipy.sparse.coo_array((np.ones(same.sum(), np.int8), (owner[:-1][same], owner[1:][same])), (count, count))
+    return scipy.sparse.csgraph.connected_components(links, directed=False)[1]
 
 
 def polygon_gates(grid: Grid, cluster: np.ndarray) -> Gates:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
+import scipy
 
 from ..jit import kernel
 from .cells import FACES, X, Y, Z
@@ -85,8 +84,8 @@ def _separating(faces: dict[int, np.ndarray], distance: np.ndarray) -> np.ndarra
     first = np.ones(len(table), bool)
     first[1:] = (table[1:, :2] != table[:-1, :2]).any(axis=1)
     table = table[first]
-    graph = sparse.coo_array((256 - table[:, 2], (table[:, 0], table[:, 1])), (count, count))
-    tree = csgraph.minimum_spanning_tree(graph.tocsr()).tocoo()
+    graph = scipy.sparse.coo_array((256 - table[:, 2], (table[:, 0], table[:, 1])), (count, count))
+    tree = scipy.sparse.csgraph.minimum_spanning_tree(graph.tocsr()).tocoo()
     key = table[:, 0] * count + table[:, 1]
     return table[np.isin(key, tree.row.astype(np.int64) * count + tree.col), 3:]
 

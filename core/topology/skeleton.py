@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
+import scipy
 
 from .cells import EDGES, POINT, Complex, closure
 from .distance import distance_map, opening_map
@@ -68,6 +67,6 @@ def graph_of(curves: Complex, distance: np.ndarray, iterations: int = 0, opened:
     padded = np.pad(distance, 1)
     around = [padded[tuple((at + np.array([k, j, i])).T)] for k in (0, 1) for j in (0, 1) for i in (0, 1)]
     radius = np.maximum.reduce(around).astype(np.float32)
-    graph = sparse.coo_array((np.ones(len(arcs), np.int8), (arcs[:, 0], arcs[:, 1])), (len(at), len(at)))
-    component = csgraph.connected_components(graph, directed=False)[1] if len(at) else np.zeros(0)
+    graph = scipy.sparse.coo_array((np.ones(len(arcs), np.int8), (arcs[:, 0], arcs[:, 1])), (len(at), len(at)))
+    component = scipy.sparse.csgraph.connected_components(graph, directed=False)[1] if len(at) else np.zeros(0)
     return Skeleton(np.ascontiguousarray(at[:, ::-1], np.int32), radius, arcs, component.astype(np.int32), iterations, opened)
