@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import bpy
 
 GROUP_NAME = "Lumigate Indirect Light"
@@ -15,26 +17,40 @@ def wire(scene: bpy.types.Scene, image: bpy.types.Image, view_layer: str) -> bpy
 
     Where the group is there already, it gets the new image.
     """
-    tree = _tree(scene)
-    source = tree.nodes.get(_IMAGE_NODE_NAME) or _named(tree.nodes.new("CompositorNodeImage"), _IMAGE_NODE_NAME)
+    tree = compositor_of(scene)
+    source = tree.nodes.get(_IMAGE_NODE_NAME) or named(tree.nodes.new("CompositorNodeImage"), _IMAGE_NODE_NAME)
     source.image = image
     if source.has_layers:
         source.layer = view_layer
     adder = tree.nodes.get(NODE_NAME)
     if adder is None:
-        adder = _named(tree.nodes.new("CompositorNodeGroup"), NODE_NAME)
+        adder = named(tree.nodes.new("CompositorNodeGroup"), NODE_NAME)
         adder.node_tree = bpy.data.node_groups.get(GROUP_NAME) or _group()
         _insert(tree, adder, source)
     tree.links.new(source.outputs["Indirect"], adder.inputs["Indirect"])
     return adder
 
 
-def _named(node: bpy.types.Node, name: str) -> bpy.types.Node:
+def layers_node(scene: bpy.types.Scene) -> bpy.types.Node:
+    """The node of the image that `wire` has put in."""
+    return compositor_of(scene).nodes[_IMAGE_NODE_NAME]
+
+
+def insert_after(tree: bpy.types.NodeTree, before: bpy.types.NodeSocket, after: bpy.types.NodeSocket) -> None:
+    """What read the output `before` reads `after` instead; where nothing did, the end of the tree does."""
+    readers = [link.to_socket for link in before.links if link.to_node != after.node]
+    if not readers and not after.is_linked:
+        readers = [_end(tree)]
+    for reader in readers:
+        tree.links.new(after, reader)
+
+
+def named(node: bpy.types.Node, name: str) -> bpy.types.Node:
     node.name = node.label = name
     return node
 
 
-def _tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
+def compositor_of(scene: bpy.types.Scene) -> bpy.types.NodeTree:
     """The scene's compositor, made if there is none, and in use."""
     if not hasattr(scene, "compositing_node_group"):  # before Blender 5
         scene.use_nodes = True
@@ -86,7 +102,7 @@ def _group() -> bpy.types.NodeTree:
     strength = group.interface.new_socket("Strength", in_out="INPUT", socket_type="NodeSocketFloat")
     strength.default_value, strength.min_value, strength.max_value = 1.0, 0.0, 10.0
     begin, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
-    factor, first, second, result = _adding(group)
+    factor, first, second, result = adding(group)
     group.links.new(begin.outputs["Image"], first)
     group.links.new(begin.outputs["Indirect"], second)
     group.links.new(begin.outputs["Strength"], factor)
@@ -95,13 +111,27 @@ def _group() -> bpy.types.NodeTree:
     return group
 
 
-def _adding(group: bpy.types.NodeTree) -> tuple[bpy.types.NodeSocket, ...]:
-    """Sockets of a node that gives first + factor * second: factor, first, second, result."""
+class Mix(NamedTuple):
+    """Sockets of a node that mixes two colours."""
+
+    factor: bpy.types.NodeSocket
+    first: bpy.types.NodeSocket
+    second: bpy.types.NodeSocket
+    result: bpy.types.NodeSocket
+
+    @property
+    def node(self) -> bpy.types.Node:
+        """Whose sockets they are."""
+        return self.result.node
+
+
+def adding(group: bpy.types.NodeTree, blend: str = "ADD") -> Mix:
+    """A node that gives first + factor * second; with `blend` MULTIPLY and factor 1, first * second."""
     if hasattr(bpy.types, "CompositorNodeMixRGB"):  # before Blender 5
         mix = group.nodes.new("CompositorNodeMixRGB")
-        mix.blend_type = "ADD"
-        return mix.inputs[0], mix.inputs[1], mix.inputs[2], mix.outputs[0]
+        mix.blend_type = blend
+        return Mix(mix.inputs[0], mix.inputs[1], mix.inputs[2], mix.outputs[0])
     mix = group.nodes.new("ShaderNodeMix")
-    mix.data_type, mix.blend_type, mix.clamp_factor = "RGBA", "ADD", False
+    mix.data_type, mix.blend_type, mix.clamp_factor = "RGBA", blend, False
     sockets = {socket.identifier: socket for socket in (*mix.inputs, *mix.outputs)}
-    return tuple(sockets[name] for name in ("Factor_Float", "A_Color", "B_Color", "Result_Color"))
+    return Mix(*(sockets[name] for name in ("Factor_Float", "A_Color", "B_Color", "Result_Color")))

@@ -10,7 +10,7 @@ import bpy
 
 from ..core.errors import SceneError
 from .job import Job, loading, render_job
-from .passes import COMBINED, hand_over, register_passes
+from .passes import COMBINED, hand_over, passes_of, register_passes
 
 if TYPE_CHECKING:
     from .viewport import Viewport
@@ -93,7 +93,7 @@ class LumigateEngine(bpy.types.RenderEngine):
 
     def _deliver(self, job: Job, depsgraph: bpy.types.Depsgraph) -> None:
         layers, stats = job.result.layers, job.result.stats
-        hand_over(self, layers, depsgraph.view_layer.lumigate.wanted())
+        hand_over(self, layers, passes_of(depsgraph.scene, depsgraph.view_layer))
         for warning in stats["warnings"]:
             self.report({"WARNING"}, warning)
         self.update_progress(1.0)

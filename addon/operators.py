@@ -11,9 +11,11 @@ from typing import ClassVar
 import bpy
 
 from ..core.errors import SceneError
-from .compositor import wire
+from .compositor import layers_node, wire
 from .image_layers import IMAGE_NAME, load_layers, write_layers
 from .job import Job, failed, loading, nothing, render_job
+from .light_mixer import mix_render, wire_mixer
+from .passes import group_names
 from .preserved import kept_render_result
 from .state import named_objects
 
@@ -180,12 +182,43 @@ class AddIndirectLight(NeedsCamera, JobOperator, bpy.types.Operator):
         path, stats = self._job.result
         image = load_layers(path)
         if self.wire:
-            wire(context.scene, image, context.view_layer.name)
+            _wire_layers(context, image)
         left_out = [f"{found['stage']}: {found['reason']}" for found in stats["skipped"]]
         context.window_manager.lumigate.report(context.scene, left_out, stats["warnings"])
         for warning in stats["warnings"]:
             self.report({"WARNING"}, warning)
         self.report({"INFO"}, f"{IMAGE_NAME}: {stats['method']}, {stats['seconds_total']:.1f} s")
+
+
+def _wire_layers(context: bpy.types.Context, image: bpy.types.Image) -> None:
+    """Add the image's indirect light to the compositor, through a mixer where there are light groups."""
+    adder = wire(context.scene, image, context.view_layer.name)
+    names = group_names(context.scene, context.view_layer)
+    if names:
+        source = layers_node(context.scene)
+        mixed = wire_mixer(context.scene, source, "Indirect", names)
+        adder.id_data.links.new(mixed.outputs["Image"], adder.inputs["Indirect"])
+
+
+class MixLightGroups(bpy.types.Operator):
+    """Put a node group into the compositor in which each light group of the render is dimmed and coloured"""
+
+    bl_idname = "lumigate.mix_light_groups"
+    bl_label = "Mix Light Groups in Compositor"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """The view layer needs light groups, and the render is Lumigate's: others name their passes otherwise."""
+        if context.engine != "LUMIGATE" or not group_names(context.scene, context.view_layer):
+            cls.poll_message_set("For renders by Lumigate's automatic method of view layers with light groups")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Wire it."""
+        mix_render(context.scene, group_names(context.scene, context.view_layer))
+        return {"FINISHED"}
 
 
 class Cancel(bpy.types.Operator):
@@ -277,4 +310,4 @@ def _remove(folder: Path) -> int:
     return size
 
 
-CLASSES = (AddIndirectLight, Cancel, CheckScene, SelectNamed, ClearCache)
+CLASSES = (AddIndirectLight, MixLightGroups, Cancel, CheckScene, SelectNamed, ClearCache)

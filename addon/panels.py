@@ -9,6 +9,7 @@ import bpy
 from ..core.settings import options
 from . import operators as ops
 from .engine import LumigateEngine
+from .light_mixer import controls, mixer
 from .passes import OPTIONAL
 
 _WIDTH = 34  # characters of a line in a panel of usual width
@@ -87,6 +88,35 @@ class NumbersPanel(_RenderPanel, bpy.types.Panel):
         row.prop(render, "threads")
 
 
+class LightGroupsPanel(_RenderPanel, bpy.types.Panel):
+    """The mixer of the light groups: what it shows are the sockets of its node."""
+
+    bl_idname = "LUMIGATE_PT_light_groups"
+    bl_parent_id = RenderPanel.bl_idname
+    bl_label = "Light Groups"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There are light groups."""
+        return len(context.view_layer.lightgroups) > 0
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Gain and colour of each group, once the compositor has a mixer."""
+        layout = self.layout
+        node = mixer(context.scene)
+        if node is not None:
+            for name, gain, color in controls(node):
+                row = layout.row(align=True)
+                row.label(text=name)
+                row.prop(gain, "default_value", text="Gain")
+                row.prop(color, "default_value", text="")
+        if context.engine == LumigateEngine.bl_idname:
+            layout.operator(ops.MixLightGroups.bl_idname, icon="NODETREE")
+        elif node is None:
+            layout.label(text="Add Indirect Light to Compositor sets the mixer up", icon="INFO")
+
+
 class ScenePanel(_RenderPanel, bpy.types.Panel):
     """What of the scene will be skipped, and what will look wrong."""
 
@@ -140,4 +170,4 @@ class PassesPanel(bpy.types.Panel):
             column.prop(context.view_layer.lumigate, name)
 
 
-CLASSES = (RenderPanel, NumbersPanel, ScenePanel, PassesPanel)
+CLASSES = (RenderPanel, NumbersPanel, LightGroupsPanel, ScenePanel, PassesPanel)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..core.layers import CONTRACT, VECTORS, Layers
+from ..core.layers import CONTRACT, GROUP_LAYERS, VECTORS, Layers
+from ..core.scene import REMAINDER
 
 COMBINED = "Combined"
 _HELP = {
@@ -40,10 +41,25 @@ class LumigatePasses(bpy.types.PropertyGroup):
         return [name for name in OPTIONAL if getattr(self, name)]
 
 
+def group_names(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> list[str]:
+    """Names of the light groups that get passes of their own, that of what has none included; none where they are switched off."""
+    settings = scene.lumigate.as_settings().with_defaults()
+    if not view_layer.lightgroups or not settings.light_groups or settings.method != "importance-sampling":
+        return []
+    return list(dict.fromkeys((*(group.name for group in view_layer.lightgroups), REMAINDER)))
+
+
+def passes_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> list[str]:
+    """Names of the passes that a view layer gives besides Combined."""
+    wanted = view_layer.lumigate.wanted()
+    kinds = [kind for kind in GROUP_LAYERS if kind == COMBINED or kind in wanted]
+    return [*wanted, *(f"{kind}_{name}" for name in group_names(scene, view_layer) for kind in kinds)]
+
+
 def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
     """Tell the compositor what sockets the view layer has."""
     engine.register_pass(scene, view_layer, COMBINED, 4, "RGBA", "COLOR")
-    for name in view_layer.lumigate.wanted():
+    for name in passes_of(scene, view_layer):
         engine.register_pass(scene, view_layer, name, *_channels(name))
 
 

@@ -21,6 +21,9 @@ POINT, SPOT, SUN, AREA = 0, 1, 2, 3
 # Shapes of an area lamp (`Lamps.shape`).
 RECTANGLE, ELLIPSE = 0, 1
 
+# Name of the light group of all that has none, so that the groups add up to the whole.
+REMAINDER = "Remainder"
+
 # Flags of a material (`Materials.flags`).
 EMISSIVE, TRANSPARENT, GLOSSY_LOBE, CONSTANT, NORMAL_MAPPED = 1, 2, 4, 8, 16
 

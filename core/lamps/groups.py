@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene import EMISSIVE, Scene
-
-REMAINDER = "Remainder"  # the group of all that has none, so that the groups add up to the whole
+from ..scene import EMISSIVE, REMAINDER, Scene
 
 
 @dataclass(frozen=True)
