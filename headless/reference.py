@@ -32,6 +32,7 @@ import numpy as np
 from ..core.denoise import Denoiser
 from ..core.errors import SceneError
 from ..core.layers import Layers, read_exr, write_exr
+from ..core.scene import REMAINDER
 from ..core.threads import Cancelled
 
 # Raise it when a change here changes pixels: cached references of older versions are then rendered anew.
@@ -63,6 +64,7 @@ _PASSES = (
     "glossy_direct", "glossy_indirect", "glossy_color",
     "transmission_direct", "transmission_indirect", "transmission_color",
 )  # fmt: skip
+_GROUP = "Combined_"  # of Cycles' passes of light groups
 _VOLUME_PASSES = ("volume_direct", "volume_indirect")
 DENOISED = ("Direct", "DiffuseIndirect", "GlossyIndirect")
 
@@ -366,6 +368,10 @@ def _layers(passes: Layers) -> Layers:
     layers["Normal"] = passes["Normal"]
     layers["Position"] = passes["Position"]
     layers["Depth"] = passes["Depth"]
+    groups = {name: passes[name][..., :3] for name in passes if name.startswith(_GROUP)}
+    if groups:
+        layers.update(groups)
+        layers[_GROUP + REMAINDER] = layers["Combined"] - sum(groups.values())
     return layers
 
 
@@ -375,7 +381,8 @@ def denoise_layers(layers: Layers, settings: ReferenceSettings, denoiser: Denois
     albedo, normal = layers["Albedo"], layers["Normal"]
     if settings.prefilter:
         albedo, normal = denoiser.prefilter(albedo, normal, threads=threads)
-    for name in settings.denoised:
+    groups = [name for name in layers if name.startswith(_GROUP)]
+    for name in (*settings.denoised, *groups):
         began = time.perf_counter()
         layers[name] = denoiser.denoise(
             layers[name], albedo, normal, position=layers["Position"], clean_aux=settings.prefilter, threads=threads
