@@ -207,14 +207,16 @@ class RenderSettings:
     def with_defaults(self) -> RenderSettings:
         """The same request with nothing left open: a denoised picture needs fewer samples than one that is not."""
         method = "importance-sampling" if self.method == "auto" else self.method
-        goal = self.target_error
+        goal, numbers = self.target_error, {}
         if self.method == "auto" and self.time_budget is None and goal is None and self.quality is not None:
-            goal = QUALITY_ERRORS[self.quality]
+            goal, preset = QUALITY_ERRORS[self.quality], QUALITIES[self.quality]
+            if all(getattr(self, name) == number for name, number in preset.items()):
+                numbers = QUALITIES["medium"]  # passes are planned in units of the usual numbers
         sampled = method == "importance-sampling"
         denoise = sampled if self.denoise is None else self.denoise
         choice = {"direct_samples": (4, 16), "reflections": (2, 8)}
         open_ = {name: few if sampled else many for name, (few, many) in choice.items() if getattr(self, name) is None}
-        return replace(self, method=method, denoise=denoise, target_error=goal, **open_)
+        return replace(self, method=method, denoise=denoise, target_error=goal, **numbers, **open_)
 
     def wants(self, *names: str) -> bool:
         """Whether any of these layers is asked for."""

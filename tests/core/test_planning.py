@@ -12,7 +12,7 @@ from lumigate.core.pipeline import render
 from lumigate.core.planning.cost import PassCost
 from lumigate.core.planning.machine import Machine, cached_machine
 from lumigate.core.planning.planner import LEAST, MOST, PILOT_PIXELS, Planner, reduced
-from lumigate.core.settings import QUALITY_ERRORS, RenderSettings
+from lumigate.core.settings import QUALITIES, QUALITY_ERRORS, RenderSettings
 
 MACHINE = Machine(ray=1e-6, denoiser=0.01, denoiser_pixel=1e-6, threads=2)
 
@@ -111,6 +111,13 @@ def test_machine_is_measured_once(tmp_path):
     for spoiled in ("{", json.dumps(json.loads(path.read_text()) | {"key": {"version": 0}})):
         path.write_text(spoiled)
         assert cached_machine(1, tmp_path)[1]
+
+
+def test_the_numbers_of_a_preset_give_way_to_its_error():
+    preset = RenderSettings(quality="final", **QUALITIES["final"]).with_defaults()
+    assert (preset.target_error, preset.samples, preset.vpls) == (QUALITY_ERRORS["final"], 8, 4096)
+    own = RenderSettings(quality="final", samples=5).with_defaults()
+    assert (own.target_error, own.samples) == (QUALITY_ERRORS["final"], 5)
 
 
 @pytest.mark.parametrize("border", [(0, 0, 640, 360), (100, 50, 101, 52), (639, 359, 640, 360)])
