@@ -8,7 +8,7 @@ What a group has of the sum of all groups is its share of the denoised whole.
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import uniform_filter
+import scipy
 
 from .denoise import Denoiser
 
@@ -61,5 +61,5 @@ def _three_denoised(bright: np.ndarray, albedo, normal, position, denoiser: Deno
 def _colors(light: np.ndarray) -> np.ndarray:
     """Colours (G, H, W, 3) of light, their channels' mean 1."""
     mean = light.mean(axis=(1, 2), keepdims=True)
-    near = uniform_filter(light, (0, WINDOW, WINDOW, 0), mode="nearest") + np.float32(FAINT) * mean
+    near = scipy.ndimage.uniform_filter(light, (0, WINDOW, WINDOW, 0), mode="nearest") + np.float32(FAINT) * mean
     return near / np.maximum(near.mean(axis=3, keepdims=True), _TINY)
