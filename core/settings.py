@@ -250,9 +250,9 @@ class SequenceSettings:
 
     def frame(self, settings: RenderSettings) -> RenderSettings:
         """The request for one frame: fewer rays for what noise the frames before it take out; edges and direct light as ever."""
+        settings = settings.with_defaults()
         if not self.history or settings.time_budget is not None or settings.target_error is not None:
             return settings
-        settings = settings.with_defaults()
         share = self.share / self.motion_blur
         rays = {name: max(1, round(share * n)) for name in ("samples", "gather", "reflections") if (n := getattr(settings, name)) > 0}
         return replace(settings, **rays) if settings.method == "importance-sampling" else settings

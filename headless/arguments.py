@@ -15,12 +15,13 @@ from .. import __version__, sample_scenes
 from ..core.settings import QUALITY_ERRORS, RenderSettings
 from .argument_types import count, positive, size_or_none
 from .bake_arguments import add_bake_settings
+from .farm_arguments import add_farm, border, finish_farm
 from .outputs import OutputError, check_file, check_folder
 from .sequence_arguments import add_sequence, frame, frame_range, sequence_settings
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 SUITES = (  # of `bench`
-    *("kernels", "clustering", "fuzzy", "vals", "topology", "previews", "curves", "lightmaps"),
+    *("kernels", "clustering", "fuzzy", "vals", "topology", "previews", "curves", "lightmaps", "frames", "farm"),
     *("auto", "scaling", "papers", "quick", "full"),
 )
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
@@ -167,6 +168,12 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
     ),
 }
 
+# Of more than one suite.
+SIZE = OwnOption("--size", "size", {"type": resolution, "metavar": "WxH", "help": "pixels of the pictures"})
+REFERENCE_SAMPLES = OwnOption("--reference-samples", "reference_samples", {"type": count, "metavar": "N", "help": "of each half"})
+
+FRAMES = OwnOption("--frames", "frames", {"type": count, "metavar": "N", "help": "of a sequence"})
+
 # The suites of `bench` that have options.
 SUITE_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
     "curves": (
@@ -179,14 +186,21 @@ SUITE_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
                 "help": "(default: atrium, corridor, cathedral, cornell, and the shared scenes that are there)",
             },
         ),
-        OwnOption("--size", "size", {"type": resolution, "metavar": "WxH", "help": "pixels of the pictures (default: 480x270)"}),
+        SIZE,
         OwnOption(
             "--spp",
             "spp",
             {"type": count, "nargs": "+", "metavar": "N", "help": "samples a pixel of Cycles (default: 4 16 64); 16 is always among them"},
         ),
-        OwnOption("--reference-samples", "reference_samples", {"type": count, "metavar": "N", "help": "of each half (default: 256)"}),
+        REFERENCE_SAMPLES,
         OwnOption("--repeats", "repeats", {"type": count, "metavar": "N", "help": "runs of each setting, each with its seed (default: 3)"}),
+    ),
+    "farm": (SIZE, FRAMES),
+    "frames": (
+        SIZE,
+        REFERENCE_SAMPLES,
+        FRAMES,
+        OwnOption("--moves", "moves", {"nargs": "+", "choices": ("camera", "lamp"), "help": "(default: both)"}),
     ),
 }
 
@@ -216,6 +230,11 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     _add_render_settings(render)
     add_sequence(render, output_file)
     render.add_argument("--stats", type=output_file(".json"), metavar="FILE.json", help="write times, ray counts and warnings")
+    render.add_argument("--border", type=border, metavar="X0,Y0,X1,Y1", help="this part of the picture only, in pixels from the top left")
+
+    farm = commands.add_parser("farm", help="frames, tiles or lightmaps on many machines; takes the options of render and bake, too")
+    _add_scene(farm, False)
+    add_farm(farm, output_file, output_folder, resolution)
 
     reference = commands.add_parser("reference", help="the same layers by Cycles, to compare with")
     _add_scene(reference, scene_is_open)
@@ -266,7 +285,7 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     bench.add_argument("suite", nargs="?", default=SUITES[0], choices=SUITES, metavar="SUITE", help="%(choices)s (default: %(default)s)")
     bench.add_argument("-o", "--output", type=output_folder, required=True, metavar="DIR", help="where results.json goes")
     for suite, options in SUITE_OPTIONS.items():
-        _add_own(bench, suite, options)
+        _add_own(bench, suite, tuple(option for option in options if option.flag not in bench._option_string_actions))
     return parser
 
 
@@ -351,11 +370,12 @@ def _render_settings(parser: Parser, given: dict) -> RenderSettings:
 
 def _suite_options(parser: Parser, given: dict) -> dict:
     """What the user gave of the suite's own options; one of another suite is an error."""
+    own = {option.field for option in SUITE_OPTIONS.get(given["suite"], ())}
     for suite, options in SUITE_OPTIONS.items():
         for option in options:
-            if option.field in given and suite != given["suite"]:
+            if option.field in given and option.field not in own:
                 parser.error(f"{option.flag} belongs to bench {suite}, not to bench {given['suite']}")
-    return {option.field: given[option.field] for option in SUITE_OPTIONS.get(given["suite"], ()) if option.field in given}
+    return {field: given[field] for field in own if field in given}
 
 
 def parse(argv: list[str] | None = None, *, in_blender: bool = False) -> argparse.Namespace:
@@ -368,13 +388,17 @@ def parse(argv: list[str] | None = None, *, in_blender: bool = False) -> argpars
         own = sys.argv.index("--") if in_blender and "--" in sys.argv else 0
         argv = sys.argv[own + 1 :]
     parser = build_parser(scene_is_open=in_blender)
-    arguments = parser.parse_args(argv)
+    arguments, rest = parser.parse_known_args(argv)
+    if rest and arguments.command != "farm":
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
     if arguments.command == "bake" and arguments.gltf and arguments.content != "full":
         parser.error("--gltf needs --content full: glTF knows no lightmaps, so that their light shines from the materials")
     if arguments.command in ("render", "bake"):
         arguments.settings = _render_settings(parser, vars(arguments))
     if arguments.command == "render":
         arguments.sequence = sequence_settings(parser, arguments)
+    if arguments.command == "farm":
+        finish_farm(parser, arguments, rest, parse)
     if arguments.command == "bench":
         arguments.options = _suite_options(parser, vars(arguments))
     return arguments

@@ -10,6 +10,8 @@ from .auto_bench import auto_steps
 from .bench_steps import Step
 from .clustering_bench import clustering_rows
 from .curves_bench import SCENES, SHARED, curves_steps
+from .farm_bench import farm_rows
+from .frames_bench import frames_rows
 from .fuzzy_bench import fuzzy_rows
 from .kernel_bench import ray_rows
 from .lightmap_bench import lightmap_rows
@@ -51,8 +53,8 @@ def full_steps(folder: Path) -> list[Step]:
 def _alone(name: str, rows: Callable[..., list[dict]], pictured: bool = False) -> Callable[..., list[Step]]:
     """A suite of one step; pictured: it leaves pictures in the benchmark's folder."""
 
-    def steps(folder: Path) -> list[Step]:
-        return [Step(name, partial(rows, folder) if pictured else rows)]
+    def steps(folder: Path, **options) -> list[Step]:
+        return [Step(name, partial(rows, *([folder] if pictured else []), **options))]
 
     return steps
 
@@ -67,6 +69,8 @@ STEPS: dict[str, Callable[..., list[Step]]] = {
     "previews": _alone("previews", preview_rows),
     "curves": curves_steps,
     "lightmaps": _alone("lightmaps", lightmap_rows),
+    "frames": _alone("frames", frames_rows, pictured=True),
+    "farm": _alone("farm", farm_rows, pictured=True),
     "auto": lambda folder: auto_steps((*SCENES, *SHARED)),
     "scaling": lambda folder: scaling_steps(),
     "papers": papers_steps,

@@ -6,6 +6,7 @@ real stdout is kept aside on a descriptor of its own while descriptor 1 leads no
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from collections.abc import Iterator
@@ -54,6 +55,11 @@ class Terminal:
         self.out, self.err = (
             Console(file=stream, highlight=False, width=None if stream.isatty() else _PIPE_WIDTH) for stream in (out, err)
         )
+
+    @staticmethod
+    def silent() -> Terminal:
+        """One that nobody reads."""
+        return Terminal(io.StringIO(), io.StringIO())
 
     def warn(self, message: str) -> None:
         """One line on stderr about something that will look wrong."""

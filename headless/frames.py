@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 
 import bpy
 
+from ..core.errors import SceneError
 from ..core.jit import CompileTimer
 from ..core.layers import Layers
 from ..core.pipeline import render
@@ -23,11 +24,22 @@ TOPOLOGIES = StoredTopologies()
 
 @dataclass(frozen=True)
 class View:
-    """Who looks, at what size and when; None is the scene's own."""
+    """Who looks, at what size, when, and at what part (x0, y0, x1, y1 in pixels, y down); None is the scene's own."""
 
     camera: str | None = None
     size: tuple[int, int] | None = None
     frame: int | None = None
+    border: tuple[int, int, int, int] | None = None
+
+    def extract(self, scene: bpy.types.Scene, frame: float | None = None) -> Scene:
+        """The arrays of a scene as this view shows it, at another frame where one is given; SceneError where it cannot be rendered."""
+        arrays = extract(scene, camera=self.camera, size=self.size, frame=self.frame if frame is None else frame)
+        if self.border is not None:
+            camera = arrays.camera
+            if self.border[2] > camera.width or self.border[3] > camera.height:
+                raise SceneError(f"the border {self.border} does not lie in the picture of {camera.width}x{camera.height} pixels")
+            arrays.camera = replace(camera, border=self.border)
+        return arrays
 
 
 @dataclass(frozen=True)
@@ -43,7 +55,7 @@ def render_frame(scene: bpy.types.Scene, view: View, settings: RenderSettings, t
     """Extract and render `scene`; the time of both is in the statistics, Numba's compile time apart under `seconds.jit`."""
     with CompileTimer() as compiling:
         begin = perf_counter()
-        arrays = extract(scene, camera=view.camera, size=view.size, frame=view.frame)
+        arrays = view.extract(scene)
         seconds = perf_counter() - begin - compiling.seconds
     with terminal.progress() as progress:
         result = render(arrays, settings, progress, extraction_seconds=seconds, topologies=TOPOLOGIES)

@@ -47,6 +47,7 @@ def add_sequence(parser: argparse.ArgumentParser, file) -> None:
         "--motion-blur", type=count, metavar="N", **keep,
         help="sub-frames a frame, while the scene's shutter is open (default: 1, no motion blur)",
     )  # fmt: skip
+    add("--part", type=frame_range, metavar="A-B", help="of the frames, only these, as they are in the whole sequence")
     add("--skip-existing", action="store_true", help="render the frames only whose files are not there yet: a killed job goes on")
     add("--summary", type=file(".json"), metavar="FILE.json", help="one file with the statistics of all frames")
     add("--contact-sheet", type=file(".png"), metavar="FILE.png", help="one picture with up to 48 of the frames")
@@ -56,7 +57,9 @@ def sequence_settings(parser, arguments: argparse.Namespace) -> SequenceSettings
     """What the options make; one of them without `--frames` is an error."""
     given = vars(arguments)
     chosen = {f.name: given[f.name] for f in fields(SequenceSettings) if f.name in given}
-    flags = [*chosen, *(name for name in ("skip_existing", "summary", "contact_sheet") if given[name])]
+    flags = [*chosen, *(name for name in ("part", "skip_existing", "summary", "contact_sheet") if given[name])]
     if given["frames"] is None and flags:
         parser.error(f"--{flags[0].replace('_', '-')} belongs to --frames A-B")
+    if arguments.part is not None and not set(arguments.part) <= set(arguments.frames):
+        parser.error("--part names frames that are not among --frames")
     return SequenceSettings(**chosen)

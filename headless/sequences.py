@@ -16,7 +16,6 @@ from ..core.settings import RenderSettings, SequenceSettings
 from .console import Terminal
 from .frames import TOPOLOGIES, Frame, View
 from .motion import exposures, moving_objects
-from .sources import extract
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ class ShotRenderer:
         time = exposures(self.scene, self.shot.frames[exposure // count], count)[exposure % count]
         with CompileTimer() as compiling:
             begin = perf_counter()
-            arrays = extract(self.scene, camera=self.shot.view.camera, size=self.shot.view.size, frame=time)
+            arrays = self.shot.view.extract(self.scene, time)
             arrays = self._reuse.begin(arrays, exposure)
             seconds = perf_counter() - begin
         self._next = exposure + 1

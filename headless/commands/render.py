@@ -20,7 +20,7 @@ from ..sources import open_source
 def run(arguments: Namespace, terminal: Terminal) -> None:
     """Render one frame, or each of `--frames` into a file of its own."""
     scene = open_source(arguments.scene)
-    view = View(arguments.camera, arguments.size, arguments.frame)
+    view = View(arguments.camera, arguments.size, arguments.frame, arguments.border)
     if arguments.frames is None:
         _save(render_frame(scene, view, arguments.settings, terminal), arguments.output, arguments.stats, terminal)
     else:
@@ -30,6 +30,8 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
 def _render_frames(scene: bpy.types.Scene, shot: Shot, arguments: Namespace, terminal: Terminal) -> None:
     """The frames of a shot that are wanted, and what is left of all of them."""
     files = {number: numbered(arguments.output, number) for number in shot.frames}
+    if arguments.part is not None:
+        files = {number: files[number] for number in arguments.part}
     wanted = [number for number, file in files.items() if not (arguments.skip_existing and file.is_file())]
     rows = [{"frame": number, "file": str(file), "existing": True} for number, file in files.items() if number not in set(wanted)]
     for number, frame in render_shot(scene, shot, wanted, terminal):

@@ -1,0 +1,34 @@
+"""The process beside a farm's worker that holds Blender: it runs one command line after the other.
+
+Requests are lines of JSON on its standard input, lists of arguments; answers are lines of JSON on its standard output:
+{"status": exit status, "said": what the command wrote for the user}.  Blender wants a process, and its main thread, to itself;
+a crash of it does not take the worker along.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+
+
+def serve() -> None:
+    """Answer until the input ends."""
+    answers = open(os.dup(1), "w", encoding="utf-8", buffering=1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)  # Blender prints there
+    from ..cli import main
+
+    for line in sys.stdin:
+        said = io.StringIO()
+        with redirect_stderr(said), redirect_stdout(io.StringIO()):
+            status = main(json.loads(line))
+        print(json.dumps({"status": status, "said": said.getvalue()}), file=answers)
+
+
+if __name__ == "__main__":
+    serve()
+    sys.stdout.flush()
+    os._exit(0)  # without Blender's static destructors, which may wait for ever (see tests/conftest.py)

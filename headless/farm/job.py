@@ -1,0 +1,162 @@
+"""Parts handed out to a Dask scheduler's workers, watched, and taken back."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import statistics
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from time import monotonic
+
+import dask
+from distributed import Client, Future, KilledWorker, LocalCluster, wait
+from distributed.comm import CommClosedError
+
+from ...core.errors import SceneError
+from ...core.threads import Cancelled, thread_count
+from .parts import Part
+from .worker import FarmError, FarmNanny, do_part, versions
+
+CONNECT = 15  # s
+LOOK = 1.0  # s between two looks at what is going on
+TRIES = 20  # of a part whose worker is lost
+SLOW = 3.0  # times the usual time of a part, after which an idle worker tries it, too
+
+
+@contextmanager
+def connected(scheduler: str | None, workers: int | None) -> Iterator[Client]:
+    """A client of a scheduler, or of as many workers on this machine; SceneError where there is none to be reached."""
+    with ExitStack() as stack:
+        # A part that outlives many workers is no fault of its own: how often it is tried, the job says.
+        stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": TRIES}))
+        if scheduler is None:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lumigate-farm-", ignore_cleanup_errors=True))
+            cluster = LocalCluster(
+                n_workers=workers or 1, threads_per_worker=1, processes=True, worker_class=FarmNanny, local_directory=folder,
+                dashboard_address=":0", silence_logs=50,
+            )  # fmt: skip
+            stack.enter_context(cluster)
+        try:
+            client = stack.enter_context(Client(scheduler or cluster, timeout=CONNECT))
+        except (OSError, TimeoutError, ValueError) as error:
+            reason = str(error) or type(error).__name__
+            raise SceneError(
+                f"no scheduler answers at {scheduler!r} ({reason}); start one with `dask scheduler`, or use --workers"
+            ) from error
+        yield client
+
+
+def local_threads(workers: int | None) -> int:
+    """Threads for each of so many workers of this machine."""
+    return max(1, thread_count() // (workers or 1))
+
+
+@dataclass
+class _Running:
+    part: Part
+    futures: list[Future]
+    tries: int = 1
+    copied: bool = False
+    since: float = field(default_factory=monotonic)
+
+
+class Job:
+    """Parts under way; `results` gives them back as they are done.
+
+    scene: content of the scene's file, sent once to each worker that needs it.
+    """
+
+    def __init__(self, client: Client, parts: Sequence[Part], scene: bytes | None = None):
+        self._client = client
+        self._expected = versions()
+        self._scene = client.scatter(scene, hash=True) if scene is not None else None
+        self._took: list[float] = []
+        self._running = {part.key: _Running(part, [self._submit(part, part.key)]) for part in parts}
+
+    def _submit(self, part: Part, key: str, **options) -> Future:
+        return self._client.submit(do_part, part, self._expected, self._scene, key=key, pure=False, priority=part.weight, **options)
+
+    def results(self, tell: Callable[[str], None]) -> Iterator[tuple[Part, dict]]:
+        """(part, what `do_part` gives) as they come; tell: takes lines about workers that are lost or slow.
+
+        Raises SceneError where a part cannot be done.
+        """
+        try:
+            while self._running:
+                futures = [future for running in self._running.values() for future in running.futures]
+                try:
+                    wait(futures, timeout=LOOK, return_when="FIRST_COMPLETED")
+                except TimeoutError:
+                    pass
+                except CommClosedError as error:
+                    raise SceneError("the scheduler has gone; start it again, and the job with --skip-existing") from error
+                for key, running in list(self._running.items()):
+                    done = next((future for future in running.futures if future.done()), None)
+                    if done is None:
+                        self._help(running, tell)
+                    elif (result := self._result(running, done, tell)) is not None:
+                        del self._running[key]
+                        self._client.cancel([future for future in running.futures if future is not done])
+                        self._took.append(monotonic() - running.since)
+                        yield running.part, result
+        finally:
+            self.cancel()
+
+    def _result(self, running: _Running, done: Future, tell: Callable[[str], None]) -> dict | None:
+        """What a part gave; None where it must be tried again."""
+        try:
+            return done.result()
+        except FarmError as error:
+            raise SceneError(str(error)) from error
+        except (KilledWorker, ConnectionError, CommClosedError) as error:
+            running.tries += 1
+            if running.tries > TRIES:
+                raise SceneError(f"{running.part.key} has lost {TRIES} workers; try it alone, with fewer threads or less memory") from error
+            tell(f"{running.part.key}: its worker was lost ({type(error).__name__}); it is tried again")
+            running.futures = [self._submit(running.part, f"{running.part.key}-try-{running.tries}")]
+            return None
+
+    def _help(self, running: _Running, tell: Callable[[str], None]) -> None:
+        """Give a part that takes far longer than others to a worker that has nothing to do, too."""
+        if running.copied or len(self._took) < 2 or monotonic() - running.since < SLOW * statistics.median(self._took):
+            return
+        busy = {worker for workers in self._client.processing().items() if workers[1] for worker in workers[:1]}
+        idle = [worker for worker in self._client.scheduler_info()["workers"] if worker not in busy]
+        if idle:
+            tell(f"{running.part.key} is slow: another worker tries it, too")
+            running.copied = True
+            running.futures.append(self._submit(running.part, f"{running.part.key}-copy", workers=idle, allow_other_workers=False))
+
+    def cancel(self) -> None:
+        """Stop what is still under way."""
+        futures = [future for running in self._running.values() for future in running.futures]
+        if futures and self._client.status == "running":
+            self._client.cancel(futures, force=True)
+        self._running.clear()
+
+
+def run_job(
+    client: Client, parts: Sequence[Part], scene: bytes | None, progress, tell: Callable[[str], None]
+) -> Iterator[tuple[Part, dict]]:
+    """`Job.results` with a progress bar; raises Cancelled where the progress function says so."""
+    whole, done = sum(part.weight for part in parts), 0.0
+    job = Job(client, parts, scene)
+    for part, result in job.results(tell):
+        done += part.weight
+        if not progress(f"{len(parts)} parts on {len(client.scheduler_info()['workers'])} workers", done / whole):
+            job.cancel()
+            raise Cancelled
+        yield part, result
+
+
+def dashboard(client: Client) -> str | None:
+    """The address of the scheduler's dashboard; None where this machine has not the package bokeh, which shows it."""
+    return client.dashboard_link if importlib.util.find_spec("bokeh") else None
+
+
+def job_name() -> str:
+    """A prefix of keys that no other job has."""
+    return f"lumigate-{os.getpid()}-{os.urandom(3).hex()}"

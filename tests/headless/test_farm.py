@@ -1,0 +1,186 @@
+"""A farm of two processes gives one machine's bits, whatever becomes of its workers, and says in a line what is wrong."""
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from distributed import Client
+
+from lumigate import sample_scenes
+from lumigate.core.errors import SceneError
+from lumigate.core.layers import Layers, read_exr
+from lumigate.headless import arguments
+from lumigate.headless.cli import main
+from lumigate.headless.farm import job, parts
+from lumigate.headless.farm.worker import FarmError, FarmWorker, command_line, do_part, versions
+
+SMALL = ["--vpls", "16", "--pixel-samples", "2", "--bounces", "2", "--no-denoise", "--threads", "1"]
+FRAMES = ["--frames", "1-6", "--history", "1", "--size", "24x16", *SMALL]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """The Cornell box with a moving camera, in a file."""
+    path = tmp_path_factory.mktemp("scene") / "scene.blend"
+    camera = sample_scenes.build("cornell").camera
+    camera.keyframe_insert("location", frame=1)
+    camera.location.x += 0.2
+    camera.keyframe_insert("location", frame=6)
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+@pytest.fixture(scope="module")
+def farm():
+    """A client of two workers."""
+    with job.connected(None, 2) as client:
+        yield client
+
+
+def address(client: Client) -> str:
+    return client.scheduler.address
+
+
+def assert_same(ours: Path, theirs: Path) -> None:
+    a, b = read_exr(ours), read_exr(theirs)
+    assert set(a) == set(b)
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+def test_frames_have_the_bits_of_one_machine_though_a_worker_is_killed(farm, scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(parts, "FEWEST", 1)
+    killed = []
+    original = job.Job.results
+
+    def results(self, tell):
+        for part, result in original(self, tell):
+            if not killed:
+                killed.append(next(iter(farm.cluster.workers.values())).pid)
+                os.kill(killed[0], signal.SIGKILL)
+            yield part, result
+
+    monkeypatch.setattr(job.Job, "results", results)
+    monkeypatch.setattr(job, "connected", lambda scheduler, workers: _open(farm))
+    argv = [str(scene), "-o", str(tmp_path / "farm.exr"), "--summary", str(tmp_path / "s.json"), *FRAMES]
+    assert main(["farm", *argv]) == 0
+    assert killed
+    assert json.loads((tmp_path / "s.json").read_text())["rendered"] == 6
+    assert main(["render", str(scene), "-o", str(tmp_path / "one.exr"), *FRAMES]) == 0
+    for number in range(1, 7):
+        assert_same(tmp_path / f"farm000{number}.exr", tmp_path / f"one000{number}.exr")
+
+
+class _open:
+    """A context that leaves the client open."""
+
+    def __init__(self, client):
+        self.client = client
+
+    def __enter__(self):
+        return self.client
+
+    def __exit__(self, *_):
+        pass
+
+
+def test_tiles_make_the_still(farm, scene, tmp_path):
+    argv = ["farm", str(scene), "-o", str(tmp_path / "still.exr"), "--tiles", "64", "--size", "96x48", *SMALL]
+    assert main([*argv, "--scheduler", address(farm)]) == 0
+    still = read_exr(tmp_path / "still.exr")
+    assert still.size == (96, 48)
+    border = ["--size", "96x48", "--border", "32,0,96,48"]
+    assert main(["render", str(scene), "-o", str(tmp_path / "tile.exr"), *border, *SMALL]) == 0
+    np.testing.assert_array_equal(still["Combined"][:, 64:], read_exr(tmp_path / "tile.exr")["Combined"][:, 32:])
+    assert main(["render", str(scene), "-o", str(tmp_path / "whole.exr"), "--size", "96x48", *SMALL]) == 0
+    np.testing.assert_allclose(still["Albedo"], read_exr(tmp_path / "whole.exr")["Albedo"], atol=1e-6)
+
+
+def test_lightmaps_have_the_bits_of_one_machine(farm, tmp_path):
+    room = ["--size", "16", *SMALL[:2], "--no-denoise", "--threads", "1"]
+    assert main(["bake", "cornell", "-o", str(tmp_path / "first"), "--objects", "Room", *room]) == 0
+    scene = str(tmp_path / "first" / "scene.blend")  # with its UV map
+    assert main(["bake", scene, "-o", str(tmp_path / "one"), "--objects", "Room", *room]) == 0
+    argv = ["farm", scene, "-o", str(tmp_path / "farm"), "--bake", "Room", "--size", "16x16", *room[2:]]
+    assert main([*argv, "--scheduler", address(farm)]) == 0
+    image = json.loads((tmp_path / "farm" / "lightmaps.json").read_text())["images"][0]
+    assert image["objects"] == ["Room"]
+    ours, theirs = (read_exr(tmp_path / folder / image["file"]) for folder in ("farm", "one"))
+    for name in theirs:
+        np.testing.assert_array_equal(ours[name], theirs[name])
+
+
+def test_worker_does_our_work_only(farm):
+    with pytest.raises(FarmError, match="parts of Lumigate's jobs only"):
+        farm.submit(os.getcwd).result()
+    with pytest.raises(Exception, match="parts of Lumigate's jobs only"):
+        farm.run(os.getcwd)
+
+
+def test_other_versions_are_told(farm):
+    part = parts.Part("other-version", ("render",), "cornell", None)
+    with pytest.raises(FarmError, match=r"worker tcp.* has numpy .* instead of 0\.1; install the same there"):
+        farm.submit(do_part, part, versions() | {"numpy": "0.1"}, pure=False).result()
+
+
+def test_what_is_wrong_with_a_part_is_one_line(farm, scene, tmp_path, capsys):
+    argv = ["farm", str(scene), "-o", str(tmp_path / "f.exr"), "--camera", "Nobody", "--scheduler", address(farm), *FRAMES]
+    assert main(argv) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert error.startswith("lumigate: error: no camera") or "Nobody" in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unreachable_scheduler_is_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(job, "CONNECT", 1)
+    assert main(["farm", "cornell", "-o", str(tmp_path / "f.exr"), "--scheduler", "127.0.0.1:9", *FRAMES]) == 2
+    assert "no scheduler answers at '127.0.0.1:9'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["/etc/passwd", "../x.exr", "{output}/../x.exr"])
+def test_paths_stay_under_the_root(text, tmp_path):
+    with pytest.raises(FarmError, match="no path under the worker's folder"):
+        command_line(parts.Part("p", ("render", parts.SCENE, "-o", text), "cornell", None), "cornell", tmp_path)
+    with pytest.raises(FarmError, match="not among a worker's commands"):
+        command_line(parts.Part("p", ("demo",), "cornell", None), "cornell", tmp_path)
+
+
+def test_runs_of_frames():
+    assert parts.frame_parts([1, 2, 3, 7, 8], workers=1) == [(1, 2, 3), (7, 8)]
+    assert [len(run) for run in parts.frame_parts(range(1, 101), workers=2)] == [25, 25, 25, 25]
+    assert parts.frame_parts([1, 3, 5], 1, step=2) == [(1, 3, 5)]
+
+
+def test_tiles_cover_the_picture_once():
+    side, width, height = 40, 100, 70
+    number = np.arange(width * height, dtype=np.float32).reshape(height, width, 1)
+    found = {}
+    for tile in parts.tiles(width, height, side):
+        x0, y0, x1, y1 = parts.with_halo(tile, width, height)
+        found[tile] = Layers({"Depth": number[y0:y1, x0:x1]}, offset=(x0, y0), full_size=(width, height))
+    np.testing.assert_array_equal(parts.joined(found, width, height)["Depth"], number)
+
+
+@pytest.mark.parametrize(
+    ("extra", "told"),
+    [
+        (["--tiles", "64"], "--tiles needs --size"),
+        (["--frames", "1-2", "--stats", "x.json"], "--stats cannot be given to a farm"),
+        (["--tiles", "64", "--size", "8x8", "--summary", "s.json"], "belong to --frames"),
+        (["--frames", "1-2", "--nonsense"], "--nonsense"),
+    ],
+)
+def test_bad_usage_is_told_before_anything_runs(extra, told, capsys):
+    with pytest.raises(SystemExit):
+        arguments.parse(["farm", "cornell", "-o", "x.exr", *extra])
+    assert told in capsys.readouterr().err
+
+
+def test_sample_scenes_need_no_file():
+    assert parts.identify("cornell") == ("cornell", None, None)
+    assert issubclass(FarmWorker, object)
+    assert not issubclass(FarmError, SceneError)  # it must be unpickled wherever it arrives
