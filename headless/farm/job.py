@@ -7,12 +7,14 @@ import os
 import statistics
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from queue import Empty, SimpleQueue
 from time import monotonic
 
 import dask
-from distributed import Client, Future, KilledWorker, LocalCluster, wait
+from distributed import Client, Future, KilledWorker, LocalCluster
 from distributed.comm import CommClosedError
 
 from ...core.errors import SceneError
@@ -23,6 +25,7 @@ from .worker import FarmError, FarmNanny, do_part, versions
 CONNECT = 15  # s
 LOOK = 1.0  # s between two looks at what is going on
 TRIES = 20  # of a part whose worker is lost
+GONE = "the scheduler has gone; start it again, and the job with --skip-existing"
 SLOW = 3.0  # times the usual time of a part, after which an idle worker tries it, too
 
 
@@ -57,7 +60,7 @@ def local_threads(workers: int | None) -> int:
 @dataclass
 class _Running:
     part: Part
-    futures: list[Future]
+    futures: list[Future] = field(default_factory=list)
     tries: int = 1
     copied: bool = False
     since: float = field(default_factory=monotonic)
@@ -73,62 +76,78 @@ class Job:
         self._client = client
         self._expected = versions()
         self._scene = client.scatter(scene, hash=True) if scene is not None else None
+        self._done: SimpleQueue[tuple[str, Future]] = SimpleQueue()
         self._took: list[float] = []
-        self._running = {part.key: _Running(part, [self._submit(part, part.key)]) for part in parts}
+        self._running = {part.key: _Running(part) for part in parts}
+        for running in self._running.values():
+            self._submit(running, running.part.key)
 
-    def _submit(self, part: Part, key: str, **options) -> Future:
-        return self._client.submit(do_part, part, self._expected, self._scene, key=key, pure=False, priority=part.weight, **options)
+    def _submit(self, running: _Running, key: str, **options) -> None:
+        future = self._client.submit(do_part, running.part, self._expected, self._scene, key=key, pure=False, **options)
+        running.futures.append(future)
+        future.add_done_callback(lambda done, name=running.part.key: self._done.put((name, done)))
 
     def results(self, tell: Callable[[str], None]) -> Iterator[tuple[Part, dict]]:
         """(part, what `do_part` gives) as they come; tell: takes lines about workers that are lost or slow.
 
-        Raises SceneError where a part cannot be done.
+        Raises SceneError where a part cannot be done, or the scheduler has gone.
         """
         try:
             while self._running:
-                futures = [future for running in self._running.values() for future in running.futures]
                 try:
-                    wait(futures, timeout=LOOK, return_when="FIRST_COMPLETED")
-                except TimeoutError:
-                    pass
-                except CommClosedError as error:
-                    raise SceneError("the scheduler has gone; start it again, and the job with --skip-existing") from error
-                for key, running in list(self._running.items()):
-                    done = next((future for future in running.futures if future.done()), None)
-                    if done is None:
-                        self._help(running, tell)
-                    elif (result := self._result(running, done, tell)) is not None:
-                        del self._running[key]
-                        self._client.cancel([future for future in running.futures if future is not done])
-                        self._took.append(monotonic() - running.since)
-                        yield running.part, result
+                    key, done = self._done.get(timeout=LOOK)
+                except Empty:
+                    self._look_around(tell)
+                    continue
+                running = self._running.get(key)
+                if running is None or done not in running.futures:  # the slower one of two copies
+                    continue
+                result = self._result(running, done, tell)
+                if result is None:
+                    continue
+                del self._running[key]
+                others = [future for future in running.futures if future is not done]
+                if others:
+                    self._client.cancel(others, force=True)
+                self._took.append(monotonic() - running.since)
+                yield running.part, result
         finally:
             self.cancel()
 
     def _result(self, running: _Running, done: Future, tell: Callable[[str], None]) -> dict | None:
-        """What a part gave; None where it must be tried again."""
+        """What a part gave; None where it is tried again."""
         try:
             return done.result()
         except FarmError as error:
             raise SceneError(str(error)) from error
-        except (KilledWorker, ConnectionError, CommClosedError) as error:
+        except (KilledWorker, ConnectionError, CommClosedError, CancelledError) as error:
+            if self._client.status != "running":
+                raise SceneError(GONE) from error
             running.tries += 1
             if running.tries > TRIES:
                 raise SceneError(f"{running.part.key} has lost {TRIES} workers; try it alone, with fewer threads or less memory") from error
             tell(f"{running.part.key}: its worker was lost ({type(error).__name__}); it is tried again")
-            running.futures = [self._submit(running.part, f"{running.part.key}-try-{running.tries}")]
+            running.futures.remove(done)
+            self._submit(running, f"{running.part.key}-try-{running.tries}")
             return None
 
-    def _help(self, running: _Running, tell: Callable[[str], None]) -> None:
-        """Give a part that takes far longer than others to a worker that has nothing to do, too."""
-        if running.copied or len(self._took) < 2 or monotonic() - running.since < SLOW * statistics.median(self._took):
+    def _look_around(self, tell: Callable[[str], None]) -> None:
+        """Whether the scheduler is there; a part that takes far longer than others goes to a worker that has nothing to do, too."""
+        if self._client.status != "running":
+            raise SceneError(GONE)
+        if len(self._took) < 2:
             return
-        busy = {worker for workers in self._client.processing().items() if workers[1] for worker in workers[:1]}
-        idle = [worker for worker in self._client.scheduler_info()["workers"] if worker not in busy]
-        if idle:
+        usual = max(statistics.median(self._took), LOOK)
+        slow = [running for running in self._running.values() if not running.copied and monotonic() - running.since > SLOW * usual]
+        if not slow:
+            return
+        processing = self._client.processing()
+        begun = {str(key) for keys in processing.values() for key in keys}
+        idle = [worker for worker, keys in processing.items() if not keys]
+        for running, worker in zip((running for running in slow if running.part.key in begun), idle):
             tell(f"{running.part.key} is slow: another worker tries it, too")
             running.copied = True
-            running.futures.append(self._submit(running.part, f"{running.part.key}-copy", workers=idle, allow_other_workers=False))
+            self._submit(running, f"{running.part.key}-copy", workers=[worker], allow_other_workers=False)
 
     def cancel(self) -> None:
         """Stop what is still under way."""
