@@ -67,26 +67,27 @@ def on_paper(shot: Shot, workers: int) -> dict[str, float]:
 
 
 def simulate(shot: Shot, workers: int, seed: int = 0) -> float:
-    """Seconds of the whole job: workers take part after part, scenes and pictures queue at the link, the scheduler at itself."""
+    """Seconds of the whole job: workers take part after part; scenes queue on the way out, pictures on the way back, parts at the scheduler."""
     rng = np.random.default_rng(seed)
     parts = frame_parts(range(shot.frames), workers)
-    link = scheduler = 0.0  # when each is free
+    out = scheduler = 0.0  # when each is free
     free = [(0.0, False)] * min(workers, len(parts))  # of a worker: when, and whether it has the scene
     heapq.heapify(free)
-    end = 0.0
+    ends: list[tuple[float, int]] = []
     for part in parts:
         at, warm = heapq.heappop(free)
         scheduler = at = max(at, scheduler) + shot.task_seconds
         if not warm:
-            link = max(at, link) + shot.scene_seconds
-            at = link + shot.start_seconds
+            out = max(at, out) + shot.scene_seconds
+            at = out + shot.start_seconds
         exposures = len(part) + min(shot.history, part[0])
         at += (shot.frame_seconds * rng.lognormal(-0.5 * shot.spread**2, shot.spread, exposures)).sum()
         heapq.heappush(free, (at, True))
-        end = max(end, at)
-        # The pictures leave together when the part ends; the link's backlog is what counts at the job's end.
-        link = max(link, at - shot.frame_seconds * exposures) + len(part) * shot.picture_seconds
-    return max(end, link)
+        ends.append((at, len(part)))
+    back = 0.0
+    for end, pictures in sorted(ends):
+        back = max(back, end) + pictures * shot.picture_seconds
+    return back
 
 
 def scaling(shot: Shot, counts=(1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)) -> list[dict]:

@@ -11,7 +11,7 @@ SHOT = Shot(frames=200, triangles=1e6)
 
 def test_one_worker_takes_the_time_on_paper():
     parts = on_paper(SHOT, 1)
-    assert simulate(replace(SHOT, spread=0.0), 1) == pytest.approx(parts["frames"] + parts["history"] + SHOT.start_seconds, rel=0.02)
+    assert simulate(replace(SHOT, spread=0.0), 1) == pytest.approx(parts["frames"] + parts["history"] + SHOT.start_seconds, rel=0.1)
 
 
 def test_more_workers_are_never_slower_than_the_link():
