@@ -246,12 +246,14 @@ class CheckScene(NeedsCamera, bpy.types.Operator):
         """Extract the scene and ask the core what it foresees."""
         from ..core.inspection import foresee
         from ..core.lamps import build_emitters
+        from ..core.soundness import sound
 
         try:
             arrays, _ = _extracted(context)
         except SceneError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        arrays = sound(arrays)
         skipped, warnings = foresee(arrays, build_emitters(arrays))
         lines = [f"{found.stage}: {found.reason}" for found in (*arrays.skipped, *skipped)]
         context.window_manager.lumigate.report(context.scene, lines, [*arrays.warnings, *warnings])

@@ -11,6 +11,7 @@ from .surfaces.layout import DIFFUSE as DIFFUSE_ALBEDO
 
 LAMP_KINDS = {POINT: "point", SPOT: "spot", SUN: "sun", AREA: "area"}
 NO_LIGHT = "nothing in the scene gives light: add a lamp, an emissive material or a world colour"
+MOST_ALBEDO = 1.001  # that no rounding of a colour explains
 NO_GEOMETRY = "no triangle is left to be hit: only the world will be seen; check what is hidden from the render"
 
 
@@ -65,6 +66,12 @@ def foresee(scene: Scene, emitters: Emitters) -> tuple[list[Skipped], list[str]]
     if not len(emitters.kind):
         warnings.append(NO_LIGHT)
     black = ((tables.flags & CONSTANT) != 0) & (tables.constant[:, DIFFUSE_ALBEDO : DIFFUSE_ALBEDO + 3] <= 0).all(axis=1)
+    bright = np.where((tables.flags & CONSTANT) != 0, tables.constant[:, DIFFUSE_ALBEDO : DIFFUSE_ALBEDO + 3].max(axis=1), 0.0)
+    warnings += [
+        f"material '{scene.materials.names[i]}' has an albedo of {bright[i]:.3g}: it reflects more light than it receives, "
+        "which grows with every bounce; keep its colour within 1"
+        for i in np.flatnonzero(worn & (bright > MOST_ALBEDO))
+    ]
     if worn.any() and black[worn].all():
         skipped.append(Skipped("vpls", "every albedo is black: there is no indirect light"))
     return skipped, warnings

@@ -33,6 +33,7 @@ from .reuse import Sequence
 from .reuse.sequence import ray_scene
 from .scene import AREA, POINT, SPOT, Camera, Scene, Skipped
 from .settings import RenderSettings
+from .soundness import sound
 from .threads import Cancelled, thread_count
 from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, reachable_vpls, rooms_seen, without_emitters
 from .transport import Transport, transport
@@ -114,6 +115,7 @@ def render(
     """
     automatic, settings = settings.method == "auto", settings.with_defaults()
     begin = time.perf_counter()
+    scene = sound(scene)
     denoiser = None
     if settings.denoise:
         denoiser = Denoiser() if sequence is None else sequence.denoiser

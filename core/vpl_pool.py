@@ -26,6 +26,7 @@ from .view.points import ShadingPoints
 Particles = Callable[[Transport, int, int, int, int], tuple[Vpls, int]]
 
 BATCH = 8  # particles a batch, for each VPL wanted
+LARGE, LARGE_BATCH = 1 << 19, 2  # particles beyond which a batch has fewer: a million VPLs would take gigabytes
 MOST_BATCHES = 16
 ENOUGH = 1.5  # lights that matter, for each VPL wanted
 SUBSET = 96  # shading points that stand for the view
@@ -164,8 +165,9 @@ def vpl_pool(
     parts: list[Vpls] = []
     importance: list[np.ndarray] = []
     g_max = None
+    flown = max(64, min(count * BATCH, max(count * LARGE_BATCH, LARGE)))
     for batch in range(batches):
-        vpls, rays = particles(scene, max(count * BATCH, 64), bounces, seed + 7919 * batch, threads)
+        vpls, rays = particles(scene, flown, bounces, seed + 7919 * batch, threads)
         counts["light"] += rays
         counts["traced"] += len(vpls.bounce)
         kept = drop_useless(vpls, points)

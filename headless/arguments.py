@@ -176,6 +176,7 @@ FRAMES = OwnOption("--frames", "frames", {"type": count, "metavar": "N", "help":
 
 # The suites of `bench` that have options.
 SUITE_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
+    "stress": (OwnOption("--random-scenes", "scenes", {"type": count, "metavar": "N", "help": "against a path tracer (default: 10000)"}),),
     "curves": (
         OwnOption(
             "--scenes",

@@ -38,8 +38,9 @@ _DEFENSIVE = np.float32(0.1)  # share of the samples dealt evenly to the groups 
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _THIRD = np.float32(1 / 3)
-# A lamp is no surface that a ray could hit, but one often lies in a surface: stop short of it.
-_SHORT = np.float32(0.9999)
+# A lamp is no surface that a ray could hit, but one often lies in a surface: stop short of it, by some tens of the rounding
+# errors of the distance and no more, for what is as close as that behind a wall shines through it.
+_SHORT = np.float32(1.0 - 1e-5)
 
 
 class Receivers(NamedTuple):

@@ -13,6 +13,7 @@ from ..pipeline import Run, StageProgress, light_points, method_of, prepared
 from ..rays.order import morton_order
 from ..scene import Scene, Skipped
 from ..settings import CONTENTS, BakeSettings
+from ..soundness import sound
 from ..threads import thread_count
 from ..transport import Transport
 from ..view.corners import view_corners
@@ -67,6 +68,7 @@ def bake(
     run = Run(progress)
     run.seconds["extraction"] = extraction_seconds
     begin = time.perf_counter()
+    scene = sound(scene)
     threads = thread_count(request.threads)
     with prepared(run, scene, request, threads) as tables:
         seen = [_view(run, tables, target, settings, threads) for target in targets]
@@ -110,6 +112,7 @@ def bake_corners(
     more = {name: CORNER_RAYS * getattr(request, name) for name in ("samples", "gather", "direct_samples")}
     settings = replace(settings, render=replace(request, **more))
     run = Run(progress)
+    scene = sound(scene)
     threads = thread_count(request.threads)
     full = settings.content == "full"
     with prepared(run, scene, request, threads) as tables:

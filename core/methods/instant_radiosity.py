@@ -221,9 +221,11 @@ def clamp_of(vpls: Vpls, points: ShadingPoints, share: float = 0.05, subset: int
     rng = np.random.default_rng(seed)
     at = rng.integers(0, len(points.pixel), subset)
     by = rng.integers(0, len(vpls.bounce), 1024)
-    d = vpls.position[by][None].astype(np.float64) - points.position[at][:, None]
-    r2_ = np.maximum((d * d).sum(-1), 1e-30)
-    g = np.maximum((d * points.ns[at][:, None]).sum(-1), 0) * np.maximum(-(d * vpls.normal[by][None]).sum(-1), 0) / r2_**2
+    # By components: sums over an axis of three are ten times as slow.
+    d = [vpls.position[by, i].astype(np.float64) - points.position[at, i, None] for i in range(3)]
+    r2_ = np.maximum(d[0] * d[0] + d[1] * d[1] + d[2] * d[2], 1e-30)
+    here, there = (sum(d[i] * normal[i] for i in range(3)) for normal in (points.ns[at].T[:, :, None], vpls.normal[by].T))
+    g = np.maximum(here, 0) * np.maximum(-there, 0) / r2_**2
     flux = vpls.flux[by].astype(np.float64).mean(-1)
     # The median over the points of each point's mean: single close pairs do not decide.
     light = np.median((g * flux).mean(axis=1)) * len(vpls.bounce)

@@ -37,7 +37,9 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
 
 
 def _table(suite: str, rows: list[dict]) -> Table:
-    """Rows of one suite: cases and values, or the points of curves of time against error."""
+    """Rows of one suite: cases and values, what must hold of them, or the points of curves of time against error."""
+    if "must" in rows[0]:
+        return _verdicts(suite, rows)
     headings = (
         ("case", "value", "unit", "peer", "ratio") if "case" in rows[0] else ("scene", "layer", "method", "setting", "seconds", *METRICS)
     )
@@ -46,6 +48,18 @@ def _table(suite: str, rows: list[dict]) -> Table:
         table.add_column(heading, justify="left" if heading in ("case", "unit", "scene", "layer", "method", "setting") else "right")
     for row in rows:
         table.add_row(*(_case(row) if "case" in row else (escape(_figure(row[name])) for name in headings)))
+    return table
+
+
+def _verdicts(suite: str, rows: list[dict]) -> Table:
+    """Rows of which each says what must hold; the title counts those that do not."""
+    failed = sum(not row["pass"] for row in rows)
+    table = Table(title=f"{suite}: {len(rows)} cases, {failed} failed", title_justify="left")
+    for heading in ("case", "method", "must hold", "measured", "pass"):
+        table.add_column(heading, justify="right" if heading == "measured" else "left")
+    for row in rows:
+        cells = row["case"], row["method"], row["must"], _figure(row["value"]), "yes" if row["pass"] else "NO"
+        table.add_row(*map(escape, cells))
     return table
 
 

@@ -10,6 +10,7 @@ from rich.table import Table
 from ...core.inspection import contents, foresee
 from ...core.lamps import build_emitters
 from ...core.scene import Scene
+from ...core.soundness import sound
 from ..console import Terminal
 from ..results import write_json
 from ..sources import extract, open_source
@@ -34,6 +35,7 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
 
 def inspect(scene: Scene) -> dict:
     """`core.inspection.contents` of `scene`, with `skipped` and `warnings` as in `--stats`."""
+    scene = sound(scene)
     emitters = build_emitters(scene)
     skipped, warnings = foresee(scene, emitters)
     return {

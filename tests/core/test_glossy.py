@@ -18,8 +18,7 @@ from lumigate.core.surfaces.lobes import LOBE, lobe_value, set_lobe
 from lumigate.core.surfaces.program import new_registers
 from lumigate.core.transport import transport
 from lumigate.core.view.points import ShadingPoints
-
-from .conftest import camera, geometry, icosphere, materials, quads
+from lumigate.headless.stress.arrays import camera, geometry, icosphere, materials, quads
 
 F = np.float32
 AWAY = [(90, 90, -50), (90.1, 90, -50), (90.1, 90.1, -50), (90, 90.1, -50)]  # where nothing stands in the way

@@ -17,8 +17,7 @@ from lumigate.core.sampling.sequences import sobol
 from lumigate.core.surfaces.layout import SURFACE, TRANSPARENCY
 from lumigate.core.surfaces.program import ATTRIBUTE, BACKFACING, EMISSION_CLOSURE, END, REGISTERS, SCALE, new_registers
 from lumigate.core.transport import transport
-
-from .conftest import camera, geometry, materials, quads
+from lumigate.headless.stress.arrays import camera, geometry, materials, quads
 
 UP = (0.0, 0.0, 1.0)
 RECEIVER = [(-4, -4, 0), (4, -4, 0), (4, 4, 0), (-4, 4, 0)]

@@ -11,8 +11,7 @@ from lumigate.core.picture import denoising_guides
 from lumigate.core.rays import RayScene
 from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, REFRACTION, TRANSPARENCY
 from lumigate.core.view.primary import view
-
-from .conftest import camera, geometry, materials, quads, scene
+from lumigate.headless.stress.arrays import camera, geometry, materials, quads, scene
 
 
 def seen(s, samples=16, seed=1, threads=0):
