@@ -49,6 +49,24 @@ def contents(scene: Scene, emitters: Emitters) -> dict:
     }
 
 
+def savings(scene: Scene, emitters: Emitters, samples: int) -> list[dict]:
+    """Work that a render leaves out, as far as no ray is needed to know: `stage`, `what`, and its `share` of the stage (0 to 1).
+
+    samples: shadow rays of a shading point to the emitters.
+    """
+    geometry, lamps, count = scene.geometry, len(scene.lamps), len(emitters.kind)
+    dark = lamps - len(set(emitters.source.tolist()))
+    hidden = np.count_nonzero(geometry.object_visibility[geometry.object] == 0)
+    found = []
+    if count > samples:
+        found.append(("direct", f"{count:,} emitters share {samples} shadow rays a point by their light tree", 1 - samples / count))
+    if dark:
+        found.append(("lamps", f"{dark:,} of {lamps:,} lamps give no light", dark / lamps))
+    if hidden:
+        found.append(("rays", f"{hidden:,} triangles are hidden from every ray", hidden / len(geometry.triangles)))
+    return [{"stage": stage, "what": what, "share": float(share)} for stage, what, share in found]
+
+
 def foresee(scene: Scene, emitters: Emitters) -> tuple[list[Skipped], list[str]]:
     """What a render of `scene` will leave out, and what will be wrong with it, as far as no ray is needed to know."""
     geometry, tables = scene.geometry, scene.materials.tables

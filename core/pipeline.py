@@ -14,8 +14,9 @@ from .denoise import Denoiser
 from .errors import SceneError
 from .inspection import foresee
 from .jit import CompileTimer
-from .lamps import LightGroups, build_emitters, direct_irradiance, direct_light, world_tables
+from .lamps import Emitters, LightGroups, build_emitters, direct_irradiance, direct_light, world_tables
 from .layers import Layers
+from .memory import check_memory
 from .methods.area_shadows import area_lamps, direct_by_soft_maps
 from .methods.fuzzy_clustering import FuzzyClustering
 from .methods.glossy import Reflections, has_lobes, reflect
@@ -115,6 +116,7 @@ def render(
     """
     automatic, settings = settings.method == "auto", settings.with_defaults()
     begin = time.perf_counter()
+    check_memory(scene, settings)
     scene = sound(scene)
     denoiser = None
     if settings.denoise:
@@ -280,6 +282,8 @@ def prepared(run: Run, scene: Scene, settings: RenderSettings, threads: int, top
     with nullcontext() if run.sequence else rays:
         with run.stage("emitters"):
             emitters = run.sequence.emitters(scene, run.groups) if run.sequence else build_emitters(scene, groups=run.groups)
+            if not settings.skipping:
+                emitters = one_by_one(emitters)
             skipped, warnings = foresee(scene, emitters)
             run.skipped = [*scene.skipped, *skipped]
             run.warnings += [*scene.warnings, *warnings]
@@ -448,6 +452,9 @@ def _indirect(
             vpls, counts = sampler.prepare(tables, points, settings.vpls, tick, particles=particles)
         elif settings.method == "virtual-area-lights":
             vpls, counts = vpl_sequence(tables, points, settings.vpls, settings.bounces, settings.seed, threads)
+        elif not settings.skipping:
+            vpls, rays = trace_particles(tables, settings.vpls, settings.bounces, settings.seed, threads, tick)
+            counts = {"light": rays, "shadow": 0, "traced": len(vpls.bounce), "useless": 0}
         else:
             wanted = run.topology and partial(reachable_vpls, run.topology, rooms_seen(run.topology, points))
             vpls, counts = vpl_pool(tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick, share=wanted)
@@ -507,6 +514,11 @@ def _indirect(
         run.rays["shadow"] += solver.rays
         run.pairs += solver.pairs
     return irradiance, vpls
+
+
+def one_by_one(emitters: Emitters) -> Emitters:
+    """The same emitters without their tree: direct light looks at each of them from every point."""
+    return emitters._replace(groups=np.arange(len(emitters.kind), dtype=np.int32))
 
 
 def _within_reach(run: Run, tables: Transport, points: ShadingPoints) -> Transport:

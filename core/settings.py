@@ -89,6 +89,7 @@ class RenderSettings:
     direct_samples, reflections, denoise: None lets the method choose (see `with_defaults`).  time_budget: seconds;
     target_error: relMSE.  quality: a key of `QUALITY_ERRORS`, which `auto` takes for its target error where neither is given.
     layers: names of the layers wanted (None: all of the contract); those of light groups come with the layer that they are of.
+    skipping: False samples every lamp at every point and keeps every VPL, whatever the view needs: `bench skipping` compares.
     """
 
     method: str = option("auto", "Method", "How the indirect light is gathered", choices=METHOD_CHOICES)
@@ -116,6 +117,7 @@ class RenderSettings:
     quality: str | None = None
     debug_layers: bool = option(False, "Debug Layers", "Also give clusters and the light of single VPLs, one layer each")
     layers: tuple[str, ...] | None = None
+    skipping: bool = True
 
     # instant radiosity
     visibility: str = option(

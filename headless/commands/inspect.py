@@ -7,9 +7,11 @@ from argparse import Namespace
 from rich.markup import escape
 from rich.table import Table
 
-from ...core.inspection import contents, foresee
+from ...core.inspection import contents, foresee, savings
 from ...core.lamps import build_emitters
+from ...core.memory import estimate
 from ...core.scene import Scene
+from ...core.settings import RenderSettings
 from ...core.soundness import sound
 from ..console import Terminal
 from ..results import write_json
@@ -34,12 +36,15 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
 
 
 def inspect(scene: Scene) -> dict:
-    """`core.inspection.contents` of `scene`, with `skipped` and `warnings` as in `--stats`."""
+    """`core.inspection.contents` of `scene`, what a render with all defaults takes and saves, and `skipped` and `warnings` as in `--stats`."""
+    request = RenderSettings().with_defaults()
     scene = sound(scene)
     emitters = build_emitters(scene)
     skipped, warnings = foresee(scene, emitters)
     return {
         **contents(scene, emitters),
+        "memory_mib": estimate(scene, request) / 2**20,
+        "savings": savings(scene, emitters, request.direct_samples),
         "skipped": [vars(s) for s in (*scene.skipped, *skipped)],
         "warnings": [*scene.warnings, *warnings],
     }
@@ -57,6 +62,7 @@ def _print(report: dict, title: str, terminal: Terminal) -> None:
         "lamps": f"{lamps}; {report['emissive_triangles']:,} emissive triangles",
         "world": f"{image}, mean radiance " + " ".join(f"{value:.3g}" for value in world["mean_radiance"]),
         "light": " ".join(f"{value:.3g}" for value in report["flux_w"]) + " W into the scene (red, green, blue)",
+        "memory": f"about {report['memory_mib'] / 1024:.2g} GiB for a render with the defaults",
         "camera": f"{camera['name']}, {camera['kind']}, {camera['size'][0]}x{camera['size'][1]} pixels",
     }
     if "topology" in report:
@@ -69,6 +75,7 @@ def _print(report: dict, title: str, terminal: Terminal) -> None:
     terminal.out.print(table)
     for heading, lines in (
         ("will be skipped", [f"{s['stage']}: {s['reason']}" for s in report["skipped"]]),
+        ("will be saved", [f"{s['stage']}: {s['what']} ({100 * s['share']:.0f} % of the stage)" for s in report["savings"]]),
         ("will be wrong", report["warnings"]),
     ):
         terminal.out.print(f"{heading}:" if lines else f"{heading}: nothing", style="bold")

@@ -1,0 +1,49 @@
+"""What is left out changes no light: pictures with and without skipping agree, and skipping is the cheaper."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lumigate.core.inspection import savings
+from lumigate.core.lamps import build_emitters
+from lumigate.core.pipeline import one_by_one, render
+from lumigate.headless.skipping.scenes import SCENES
+from lumigate.headless.skipping.suite import WITH, lights_that_matter, skipping_rows
+
+SIZE = (32, 18)
+
+
+@pytest.mark.parametrize("name", ["40-room house", "hall of 2,000 lamps"])
+def test_the_light_is_the_same_without_skipping(name):
+    scene = SCENES[name](*SIZE)
+    everything = replace(WITH, skipping=False, vpls=8192, direct_samples=len(scene.lamps))
+    few, many = (render(scene, settings).layers for settings in (replace(WITH, vpls=1024, direct_samples=64), everything))
+    for layer, share in (("Direct", 0.03), ("Indirect", 0.08)):
+        assert few[layer].mean() == pytest.approx(many[layer].mean(), rel=share)
+
+
+def test_lamps_looked_at_one_by_one_give_what_the_tree_gives():
+    emitters = build_emitters(SCENES["hall of 2,000 lamps"](*SIZE))
+    assert list(one_by_one(emitters).groups) == list(range(2000))
+    assert list(emitters.groups) == [-1]
+
+
+def test_few_of_the_lights_of_a_house_matter_to_one_room():
+    scene = SCENES["40-room house"](*SIZE)
+    settings = replace(WITH, vpls=512)
+    assert lights_that_matter(scene, settings) > 4 * lights_that_matter(scene, replace(settings, skipping=False))
+
+
+def test_savings_are_told_before():
+    scene = SCENES["hall of 2,000 lamps"](*SIZE)
+    scene.lamps.emission[:500] = 0
+    found = {line["stage"]: line["share"] for line in savings(scene, build_emitters(scene), 4)}
+    assert found == {"direct": pytest.approx(1 - 4 / 1500), "lamps": 0.25}
+
+
+def test_rows_of_the_suite():
+    rows = skipping_rows({"landscape": SCENES["landscape under the sky"]}, SIZE)
+    assert len(rows) == 4
+    assert all(row["suite"] == "skipping" and np.isfinite(row["ratio"]) for row in rows)
+    assert rows[1]["ratio"] > 1
