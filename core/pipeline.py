@@ -117,7 +117,7 @@ def render(
     automatic, settings = settings.method == "auto", settings.with_defaults()
     begin = time.perf_counter()
     check_memory(scene, settings)
-    scene = sound(scene)
+    scene = sound(scene) if sequence is None else scene
     denoiser = None
     if settings.denoise:
         denoiser = Denoiser() if sequence is None else sequence.denoiser

@@ -15,6 +15,7 @@ from ..picture import Picture
 from ..rays import RayScene
 from ..scene import TRANSPARENT, Scene
 from ..settings import RenderSettings, SequenceSettings
+from ..soundness import sound
 from ..transport import Transport
 from ..view.lamps import visible_lamps
 from ..view.primary import View
@@ -86,6 +87,7 @@ class Sequence:
 
     def begin(self, scene: Scene, number: int) -> Scene:
         """The frame that stands at `number` in the sequence: the same scene, on the arrays of the last one where they are alike."""
+        scene = sound(scene)
         last, self.number, self.turn = self._scene, number, number % (self.window + 1)
         if last is None:
             self.changes = Changes()
