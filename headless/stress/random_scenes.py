@@ -34,7 +34,7 @@ def random_scene(seed: int) -> tuple[sc.Scene, str]:
         arrays.materials(*zip(albedos, emission)),
         lamps=arrays.lamps(*lit),
         world=world,
-        camera=_camera(rng, scale),
+        camera=_camera(rng, scale, inside=kind == "dark room"),
     )
     return scene, kind
 
@@ -91,12 +91,12 @@ def _lamp(rng: np.random.Generator, scale: float, outside: bool) -> sc.Lamps:
     return arrays.lamp(kind, colour, position * scale, _turned(rng), angle=angle, blend=rng.random(), size=size)
 
 
-def _camera(rng: np.random.Generator, scale: float) -> sc.Camera:
-    """Six by four pixels from inside, looking anywhere."""
+def _camera(rng: np.random.Generator, scale: float, inside: bool) -> sc.Camera:
+    """Six by four pixels from inside, looking anywhere; the film of an orthographic one may reach outside."""
     view = arrays.camera(width=6, height=4, angle=rng.uniform(0.7, 2.0), near=1e-4 * scale, far=100 * scale)
     view.matrix[:3, :3] = _turned(rng)
     view.matrix[:3, 3] = rng.uniform(-0.7, 0.7, 3) * scale
-    if rng.random() < 0.15:
+    if rng.random() < 0.15 and not inside:
         view.orthographic = True
         view.window = tuple(scale * side for side in view.window)
     return view

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 from ...core.pipeline import AVAILABLE
 from . import broken, numbers, scales
+from .files import damaged_files
 from .fuzz import SCENES, random_scenes
 from .offsets import offsets
 from .outcome import Outcome
@@ -33,6 +34,7 @@ def stress_rows(scenes: int = SCENES) -> list[dict]:
     """Rows of `bench stress`: every case by every method, then `scenes` random scenes; one that raises is a line that fails."""
     lines = [line for case in CASES for method in AVAILABLE for line in attempt(case, method)]
     lines += attempt(lambda _: offsets(), "all")
+    lines += attempt(lambda _: damaged_files(), "all")
     lines += random_scenes(scenes)
     return [line.row() for line in lines]
 
