@@ -22,7 +22,7 @@ from .sequence_arguments import add_sequence, frame, frame_range, sequence_setti
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 SUITES = (  # of `bench`
     *("kernels", "clustering", "fuzzy", "vals", "topology", "previews", "curves", "lightmaps", "frames", "farm"),
-    *("auto", "scaling", "papers", "quick", "full"),
+    *("auto", "scaling", "stress", "skipping", "papers", "quick", "full"),
 )
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
 

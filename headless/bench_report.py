@@ -41,13 +41,15 @@ def report(suite: str, results: dict, plots: list[str]) -> str:
     lines += [line for name in plots for line in (f"![{name}]({name})", "")]
     for name in dict.fromkeys(row["suite"] for row in rows):
         own = [row for row in rows if row["suite"] == name]
-        columns = ("case", "value", "unit", "peer_value", "ratio") if "case" in own[0] else _CURVES
+        columns = _VERDICTS if "must" in own[0] else _CASES if "case" in own[0] else _CURVES
         lines += [f"## {name}", "", "| " + " | ".join(columns) + " |", "| " + " | ".join("---" for _ in columns) + " |"]
         lines += ["| " + " | ".join(_cell(row, column) for column in columns) + " |" for row in own]
         lines.append("")
     return "\n".join(lines)
 
 
+_CASES = ("case", "value", "unit", "peer_value", "ratio")
+_VERDICTS = ("case", "method", "must", "value", "pass")
 _CURVES = ("scene", "layer", "method", "setting", "seconds", "relmse", "bias", "flip")
 
 

@@ -17,6 +17,8 @@ from .kernel_bench import ray_rows
 from .lightmap_bench import lightmap_rows
 from .preview_bench import preview_rows
 from .scaling_bench import scaling_steps
+from .skipping.suite import skipping_rows
+from .stress.suite import stress_steps
 from .topology_bench import topology_rows
 from .vals_bench import vals_rows
 
@@ -73,6 +75,8 @@ STEPS: dict[str, Callable[..., list[Step]]] = {
     "farm": _alone("farm", farm_rows, pictured=True),
     "auto": lambda folder: auto_steps((*SCENES, *SHARED)),
     "scaling": lambda folder: scaling_steps(),
+    "stress": stress_steps,
+    "skipping": _alone("skipping", skipping_rows),
     "papers": papers_steps,
     "quick": quick_steps,
     "full": full_steps,

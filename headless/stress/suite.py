@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
 
 from ...core.pipeline import AVAILABLE
+from ..bench_steps import Step
 from . import broken, numbers, scales
 from .files import damaged_files
 from .fuzz import SCENES, random_scenes
@@ -12,7 +15,7 @@ from .offsets import offsets
 from .outcome import Outcome
 
 # Generators of lines for one method, in the order of the table.
-CASES: tuple[Callable[[str], Iterator[Outcome]], ...] = (
+CASES: tuple[Callable[[str], Iterable[Outcome]], ...] = (
     scales.scales,
     scales.powers,
     scales.albedos,
@@ -30,16 +33,18 @@ CASES: tuple[Callable[[str], Iterator[Outcome]], ...] = (
 )
 
 
-def stress_rows(scenes: int = SCENES) -> list[dict]:
-    """Rows of `bench stress`: every case by every method, then `scenes` random scenes; one that raises is a line that fails."""
-    lines = [line for case in CASES for method in AVAILABLE for line in attempt(case, method)]
-    lines += attempt(lambda _: offsets(), "all")
-    lines += attempt(lambda _: damaged_files(), "all")
-    lines += random_scenes(scenes)
-    return [line.row() for line in lines]
+def stress_steps(folder: Path, scenes: int = SCENES) -> list[Step]:
+    """`bench stress`: a step for each kind of case by all methods, one for `scenes` random scenes; nothing is left in `folder`."""
+    steps = [Step(case.__name__, partial(_rows, case, AVAILABLE)) for case in CASES]
+    steps += [Step(case.__name__, partial(_rows, lambda _, case=case: case(), ("all",))) for case in (offsets, damaged_files)]
+    return [*steps, Step(f"{scenes} random scenes", partial(_rows, lambda _: random_scenes(scenes), ("all",)))]
 
 
-def attempt(case: Callable[[str], Iterator[Outcome]], method: str) -> list[Outcome]:
+def _rows(case: Callable[[str], Iterable[Outcome]], methods: Iterable[str]) -> list[dict]:
+    return [line.row() for method in methods for line in attempt(case, method)]
+
+
+def attempt(case: Callable[[str], Iterable[Outcome]], method: str) -> list[Outcome]:
     """The lines of one generator; a fault ends them with a line that names it."""
     lines = []
     try:

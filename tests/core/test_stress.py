@@ -14,7 +14,7 @@ from lumigate.headless.stress import broken, numbers, rooms, scales
 from lumigate.headless.stress.fuzz import judge, sample
 from lumigate.headless.stress.path_tracer import path_traced
 from lumigate.headless.stress.random_scenes import random_scene
-from lumigate.headless.stress.suite import attempt
+from lumigate.headless.stress.suite import attempt, stress_steps
 
 
 def failures(lines) -> list[str]:
@@ -52,6 +52,14 @@ def test_a_generator_that_raises_is_a_line_that_fails():
     first, second = attempt(raises, "auto")
     assert first.passed and not second.passed
     assert "ZeroDivisionError" in second.case
+
+
+def test_every_step_has_a_name_of_its_own_and_rows_that_say_what_must_hold(tmp_path):
+    steps = {step.name: step for step in stress_steps(tmp_path, 3)}
+    assert len(steps) == 17 and "3 random scenes" in steps
+    rows = steps["spikes"].work()
+    assert {row["method"] for row in rows} == set(AVAILABLE)
+    assert all(row["suite"] == "stress" and row["must"] and row["pass"] is True for row in rows)
 
 
 def test_path_tracer_finds_the_light_of_a_sphere(build):
