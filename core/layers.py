@@ -135,13 +135,13 @@ def _check_end(path: Path) -> None:
     """The last row can be read: a disk that fills up while the writer flushes its buffer is no error to it."""
     image = oiio.ImageInput.open(str(path))
     if image is None:
-        raise OSError(oiio.geterror() or "the file is not whole")
+        raise OSError(_reason(oiio) or "the file is not whole")
     spec = image.spec()
     last = spec.y + spec.height - 1
     row = image.read_scanlines(0, 0, last, last + 1, 0, 0, 1, oiio.FLOAT)
     image.close()
     if row is None:
-        raise OSError(image.geterror() or "the file is not whole")
+        raise OSError(_reason(image) or "the file is not whole")
 
 
 def write_exr(path: str | os.PathLike, layers: Layers) -> Path:
@@ -170,6 +170,14 @@ def write_exr(path: str | os.PathLike, layers: Layers) -> Path:
     return write_whole(path, lambda temporary: _write_image(temporary, spec, pixels))
 
 
+def _reason(source) -> str:
+    """OpenImageIO's last error in one line; source: the module, or an image. A damaged file's own bytes may be in it."""
+    try:
+        return " ".join(source.geterror().split())
+    except UnicodeDecodeError:
+        return "it is damaged"
+
+
 def read_exr(path: str | os.PathLike, view_layer: str | None = None) -> Layers:
     """Read a multilayer OpenEXR: one of `write_exr`, or one of Blender's own with one part or many.
 
@@ -184,7 +192,7 @@ def read_exr(path: str | os.PathLike, view_layer: str | None = None) -> Layers:
         raise SceneError(f"{path} does not exist; give the path of a multilayer EXR file")
     image = oiio.ImageInput.open(str(path))
     if image is None:
-        raise SceneError(f"cannot read {path}: {' '.join(oiio.geterror().split())}")
+        raise SceneError(f"cannot read {path}: {_reason(oiio)}")
     try:
         return _read_parts(image, path, view_layer)
     finally:
@@ -205,7 +213,7 @@ def _read_parts(image: oiio.ImageInput, path: Path, view_layer: str | None) -> L
         if wanted:
             pixels = image.read_image(part, 0, 0, spec.nchannels, oiio.FLOAT)
             if pixels is None:
-                raise SceneError(f"cannot read {path}: {' '.join(image.geterror().split())}")
+                raise SceneError(f"cannot read {path}: {_reason(image)}")
             pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
             for name, channels in wanted.items():
                 layers[name] = np.ascontiguousarray(pixels[..., channels])
