@@ -53,7 +53,7 @@ from ..view.points import ShadingPoints
 from ..vpl_pool import Particles, vpl_pool
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
-from .light_cache import NEAR, LightCache, add_known, build_light_cache, find_cell, look_up, seen_light
+from .light_cache import NEAR, LightCache, add_left, build_light_cache, find_cell, look_up
 from .probes import trace_probes
 from .tails import path_light
 
@@ -71,11 +71,11 @@ _INV_PI = np.float32(1.0 / np.pi)
 
 
 @kernel
-def _gather(scene, cache, points, begin, end, samples, first, g_max, tau, near, bounces, seed, out):
+def _gather(scene, cache, points, begin, end, samples, first, g_max, near, bounces, seed, out):
     """Adds to the points begin..end-1 what `samples` cosine-distributed rays each find, less what lights carry; the rays traced."""
     direction, hit = np.empty((WIDTH, 3), np.float32), np.empty((WIDTH, 3), np.float32)
     return _gather_leaf(
-        scene, cache, points, begin, end, samples, first, g_max, tau, near, bounces, seed, out, new_packet(), new_packet(),
+        scene, cache, points, begin, end, samples, first, g_max, near, bounces, seed, out, new_packet(), new_packet(),
         np.zeros(SURFACE, np.float32), np.zeros(LOBE, np.float32), new_registers(scene.materials), direction, np.empty(WIDTH, np.int32), hit,
     )  # fmt: skip
 
@@ -90,7 +90,6 @@ def _gather_leaf(
     samples,
     first,
     g_max,
-    tau,
     near,
     bounces,
     seed,
@@ -161,10 +160,10 @@ def _gather_leaf(
                     bright = cache.bright[cell]
                     if bright > 0:
                         cos_x = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
-                        rest = _1 - bright / (bright + tau) * min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
+                        rest = _1 - bright / (bright + cache.tau) * min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
                         wr, wg, wb = wr * rest, wg * rest, wb * rest
                     if t > near:
-                        add_known(cache, bounces - 1, cell, wr, wg, wb, out, k)
+                        add_left(cache, cell, wr, wg, wb, out, k)
                         continue
                 evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
                 sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
@@ -341,8 +340,9 @@ class ImportanceSampling:
         self.scene = scene
         paths = max(MIN_PATHS, int(PATHS * len(points.pixel) * (self.samples + self.gather))) if paths is None else paths
         probes, rays = trace_probes(scene, points, paths, self.seed ^ 0x51AB5, self.threads, progress)
-        self.cache: LightCache = build_light_cache(probes, self.bounces + has_lobes(points), self.seed, self.threads)
-        self.tau = np.float32(max(seen_light(self.cache, probes, self.seed + 1), 1e-30))
+        self.cache: LightCache = build_light_cache(
+            probes, self.bounces + has_lobes(points), self.seed, self.threads, gathered=self.bounces
+        )
         self.near = np.float32(NEAR * self.cache.size)
         return rays
 
@@ -352,7 +352,7 @@ class ImportanceSampling:
         bright = (
             np.where(cell >= 0, self.cache.bright[np.maximum(cell, 0)], np.float32(0)) if len(self.cache.bright) else np.zeros(len(cell))
         )
-        return (bright / (bright + self.tau)).astype(np.float32)
+        return (bright / (bright + self.cache.tau)).astype(np.float32)
 
     def prepare(
         self,
@@ -398,7 +398,7 @@ class ImportanceSampling:
 
         def work(begin, end):
             rays = _gather(
-                self.scene, self.cache, points, begin, end, self.gather, first, self.g_max, self.tau, self.near, self.bounces,
+                self.scene, self.cache, points, begin, end, self.gather, first, self.g_max, self.near, self.bounces,
                 np.uint32(self.seed + 3), out,
             )  # fmt: skip
             if self.lights.size and self.samples:
