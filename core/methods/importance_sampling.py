@@ -340,9 +340,7 @@ class ImportanceSampling:
         self.scene = scene
         paths = max(MIN_PATHS, int(PATHS * len(points.pixel) * (self.samples + self.gather))) if paths is None else paths
         probes, rays = trace_probes(scene, points, paths, self.seed ^ 0x51AB5, self.threads, progress)
-        self.cache: LightCache = build_light_cache(
-            probes, self.bounces + has_lobes(points), self.seed, self.threads, gathered=self.bounces
-        )
+        self.cache: LightCache = build_light_cache(probes, self.bounces + has_lobes(points), self.seed, self.threads, gathered=self.bounces)
         self.near = np.float32(NEAR * self.cache.size)
         return rays
 

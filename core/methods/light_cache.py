@@ -100,7 +100,16 @@ class LightCache(NamedTuple):
 def no_cache() -> LightCache:
     """A cache that knows nothing."""
     none = np.zeros(0, np.float32)
-    return LightCache(np.zeros(3, np.float32), np.float32(1), np.zeros(1, np.uint64), np.full(1, -1, np.int32), none.reshape(1, 0, 3), none, np.float32(1), none.reshape(0, 3))
+    return LightCache(
+        np.zeros(3, np.float32),
+        np.float32(1),
+        np.zeros(1, np.uint64),
+        np.full(1, -1, np.int32),
+        none.reshape(1, 0, 3),
+        none,
+        np.float32(1),
+        none.reshape(0, 3),
+    )
 
 
 @inlined
