@@ -18,12 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from .jit import kernel
-from .threads import run_chunks, thread_count
+from .threads import Cancelled, Progress, run_chunks, thread_count
 
 # Values of OpenImageDenoise/oidn.h, versions 2.0 to 2.5.
 _DEVICE_CPU = 1
 _FLOAT3 = 3
 QUALITIES = {"default": 0, "fast": 4, "balanced": 5, "high": 6}
+_MONITOR = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_double)  # OIDNProgressMonitorFunction
 _LIBRARY_NAMES = ("libOpenImageDenoise.so.2", "libOpenImageDenoise.so", "libOpenImageDenoise.dylib", "OpenImageDenoise.dll")
 # Largest factor by which `preserve_mean` scales: beyond it the input's mean is that of a few outliers.
 _MEAN_FACTOR = 1.5
@@ -76,6 +77,7 @@ def _load(path: str) -> ctypes.CDLL:
         "oidnSetFilterBool": (None, [p, s, ctypes.c_bool]),
         "oidnSetFilterInt": (None, [p, s, ctypes.c_int]),
         "oidnSetFilterFloat": (None, [p, s, ctypes.c_float]),
+        "oidnSetFilterProgressMonitorFunction": (None, [p, _MONITOR, p]),
         "oidnCommitFilter": (None, [p]),
         "oidnExecuteFilter": (None, [p]),
         "oidnReleaseFilter": (None, [p]),
@@ -102,12 +104,16 @@ class Denoiser:
 
     library: a file or folder where Open Image Denoise lies (found by itself otherwise).
     quality: 'high', 'balanced' or 'fast'.
+    progress: is called with the done fraction of each picture, by any thread.
     warning: a line for the user where there is no library and `geometry_aware_blur` stands in, else None.
     version: of the library, as '2.3.3', else None.
     """
 
-    def __init__(self, library: str | os.PathLike | None = None, quality: str = "high"):
+    def __init__(self, library: str | os.PathLike | None = None, quality: str = "high", progress: Progress | None = None):
         self._quality = QUALITIES[quality]
+        self.progress = progress
+        self._stopped = False
+        self._monitor = _MONITOR(self._go_on)
         self._devices: dict[int, int] = {}
         self._filters: dict[tuple, int] = {}
         self._lock = threading.Lock()
@@ -160,6 +166,7 @@ class Denoiser:
 
         Raises:
             DenoiseError: the library failed, as for want of memory.
+            core.threads.Cancelled: `progress` returned False.
         """
         color = _finite_neighbours(np.maximum(_image(color), 0))
         guides = {"albedo": albedo, "normal": normal}
@@ -215,13 +222,24 @@ class Denoiser:
                 self._lib.oidnSetFilterBool(self._filters[key], b"hdr", hdr)
                 self._lib.oidnSetFilterBool(self._filters[key], b"cleanAux", clean_aux)
                 self._lib.oidnSetFilterInt(self._filters[key], b"quality", self._quality)
+                self._lib.oidnSetFilterProgressMonitorFunction(self._filters[key], self._monitor, None)
             network = self._filters[key]
             for name, image in (*images.items(), ("output", output)):
                 self._lib.oidnSetSharedFilterImage(network, name.encode(), image.ctypes.data, _FLOAT3, width, height, 0, 0, 0)
             self._lib.oidnCommitFilter(network)
+            self._stopped = False
             self._lib.oidnExecuteFilter(network)
-            self._check(device)
+            error = self._error(device)
+            if self._stopped:  # which the library reports as an error, too
+                raise Cancelled
+            if error:
+                raise DenoiseError(f"Open Image Denoise failed: {error}")
         return np.ascontiguousarray(output[pad : pad + rows, pad : pad + columns])
+
+    def _go_on(self, _: int | None, done: float) -> bool:
+        """What the library asks now and then; once it has heard no, it asks no more."""
+        self._stopped = self._stopped or (self.progress is not None and not self.progress(done))
+        return not self._stopped
 
     def _error(self, device: int | None) -> str | None:
         message = ctypes.c_char_p()

@@ -182,10 +182,10 @@ def _render(
         with run.stage("history"):
             picture = sequence.developed(picture, threads)
     if denoiser:
-        with run.stage("denoise"):
+        with run.stage("denoise") as denoiser.progress:
             picture = picture.denoised(denoiser, threads, direct=settings.wants("Direct", "Combined"))
     if picture.groups and (denoiser or sequence):  # either has changed the whole
-        with run.stage("groups"), closing(Denoiser(quality="fast")) as quick:
+        with closing(Denoiser(quality="fast")) as quick, run.stage("groups") as quick.progress:
             picture = picture.shared_out(quick, threads)
     layers = picture.layers(scene)
     layers.update(run.debug)

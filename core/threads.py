@@ -19,6 +19,11 @@ class Cancelled(Exception):
 Progress = Callable[[float], bool]
 
 
+def part(progress: Progress | None, begin: float, end: float) -> Progress | None:
+    """The progress of a piece of a stage, which goes from `begin` to `end` of it."""
+    return None if progress is None else lambda done: progress(begin + done * (end - begin))
+
+
 def thread_count(threads: int = 0) -> int:
     """`threads`, or the number of cores this process may use where it is 0."""
     return threads if threads > 0 else len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -170,7 +170,7 @@ def _finished(
     with run.stage("margin"):
         around = surroundings(texels.state)
     if denoiser is not None:
-        with run.stage("denoise"):
+        with run.stage("denoise") as denoiser.progress:
             irradiance = denoised(irradiance, texels.normal, texels.position, around, denoiser, threads)
     with run.stage("margin"):
         image, filled = extended(irradiance, texels.state, around, settings.margin)

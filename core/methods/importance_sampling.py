@@ -47,7 +47,7 @@ from ..surfaces.lobes import LOBE
 from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..surfaces.visibility import nearest_surface, transmittance1
-from ..threads import Progress, run_chunks
+from ..threads import Progress, part, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
 from ..vpl_pool import Particles, vpl_pool
@@ -339,8 +339,10 @@ class ImportanceSampling:
         """Fill the cache of light from `paths` paths that begin at the points (None: as the samples need); the rays traced."""
         self.scene = scene
         paths = max(MIN_PATHS, int(PATHS * len(points.pixel) * (self.samples + self.gather))) if paths is None else paths
-        probes, rays = trace_probes(scene, points, paths, self.seed ^ 0x51AB5, self.threads, progress)
-        self.cache: LightCache = build_light_cache(probes, self.bounces + has_lobes(points), self.seed, self.threads, gathered=self.bounces)
+        probes, rays = trace_probes(scene, points, paths, self.seed ^ 0x51AB5, self.threads, part(progress, 0.0, 0.6))
+        self.cache: LightCache = build_light_cache(
+            probes, self.bounces + has_lobes(points), self.seed, self.threads, part(progress, 0.6, 1.0), gathered=self.bounces
+        )
         self.near = np.float32(NEAR * self.cache.size)
         return rays
 

@@ -19,7 +19,7 @@ import numpy as np
 from ..jit import inlined, kernel, leaf
 from ..sampling.hashing import uniform
 from ..sampling.maps import orthonormal_basis
-from ..threads import run_chunks
+from ..threads import Cancelled, Progress, run_chunks
 
 DEPTH = 2  # probes a path: seen from the visible points, and from there
 PROBES_A_CELL = 2  # of the finest cells, on average
@@ -260,7 +260,7 @@ def _links(probes, cache, begin, end, seed, link_cell):
 
 def _solve(
     probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, level_of: np.ndarray,
-    near: np.float32, radiosity: np.ndarray, threads: int,
+    near: np.float32, radiosity: np.ndarray, threads: int, go_on: Callable[[float], None],
 ) -> Callable[..., np.ndarray]:  # fmt: skip
     """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes; what balances a bounce.
 
@@ -306,6 +306,7 @@ def _solve(
 
     # Glossy links take no bounce: what they carry is found turn by turn.
     for turn in range(turns * len(radiosity)):
+        go_on(0.4 + 0.6 * turn / (turns * len(radiosity)))
         bounce = turn // turns
         if turn % turns == 0 and turns > 1 and bounce > 0:
             radiosity[bounce] = radiosity[bounce - 1]
@@ -498,17 +499,28 @@ def cell_size(probes: Probes, origin: np.ndarray, extent: float, seed: int) -> f
     return max(size, smallest)
 
 
-def build_light_cache(probes: Probes, bounces: int, seed: int, threads: int = 0, *, gathered: int | None = None) -> LightCache:
+def build_light_cache(
+    probes: Probes, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None, *, gathered: int | None = None
+) -> LightCache:
     """Cells that hold what the probes know of light that left 1 to `bounces` surfaces.
 
     gathered: how many surfaces the light has left that gather rays look for (None: `bounces`).
+
+    Raises:
+        core.threads.Cancelled: `progress` returned False.
     """
+
+    def go_on(done: float) -> None:
+        if progress is not None and not progress(done):
+            raise Cancelled
+
     n = int(probes.valid.sum())
     known = probes.position[probes.valid > 0] if n else np.zeros((1, 3), np.float32)
     low, high = known.min(axis=0), known.max(axis=0)
     extent = float(max((high - low).max(), 1e-6 * np.abs(known).max(), 1e-9))
     origin = (low - extent).astype(np.float32)
     size = np.float32(cell_size(probes, origin, extent, seed))
+    go_on(0.1)
     cells = np.zeros((len(probes.valid), LEVELS), np.int32)
     # Rarely more cells than probes; a table that is no larger than it must be stays in the processor's caches.
     room, count = max(64, n), -1
@@ -518,6 +530,7 @@ def build_light_cache(probes: Probes, bounces: int, seed: int, threads: int = 0,
         level_of, centre, side_of = np.empty(room, np.uint8), np.empty((room, 6), np.float32), np.empty(room, np.int32)
         count = _insert(probes, origin, size, np.uint32(seed), keys, slot, cells, level_of, centre, side_of)
         room *= 2
+    go_on(0.3)
     level_of, centre, side_of = level_of[:count].copy(), centre[:count].copy(), side_of[:count].copy()
     radiosity = np.zeros((bounces, count, probes.direct.shape[1]), np.float32)
     cache = LightCache(origin, size, keys, slot, radiosity, np.zeros(count, np.float32), np.float32(1), radiosity[-1])
@@ -525,7 +538,8 @@ def build_light_cache(probes: Probes, bounces: int, seed: int, threads: int = 0,
     link_cell = np.empty(len(probes.valid), np.int64)
     run_chunks(lambda begin, end: _links(probes, cache, begin, end, np.uint32(seed), link_cell), len(link_cell), CHUNK, threads)
     seen_cell = look_up(cache, probes.position, probes.normal, probes.side, seed + 3, threads)
-    balanced = _solve(probes, cells, link_cell, seen_cell, parent, level_of, np.float32(NEAR * size), radiosity, threads)
+    go_on(0.4)
+    balanced = _solve(probes, cells, link_cell, seen_cell, parent, level_of, np.float32(NEAR * size), radiosity, threads, go_on)
     _brightness(probes, cells, link_cell, parent, level_of, np.float32(GUIDE_PRIOR), radiosity, cache.bright, np.zeros(count, np.float32))
     tau = np.float32(max(seen_light(cache, probes, seed + 1), 1e-30))
     return cache._replace(tau=tau, left=balanced((gathered or bounces) - 1, tau / (cache.bright + tau), MOST_LEFT * tau, DOUBT))

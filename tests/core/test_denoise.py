@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lumigate.core import denoise as dn
+from lumigate.core.threads import Cancelled
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +116,20 @@ def test_prefiltered_guides_beat_noisy_ones(denoiser):
 def test_normal_alone_is_accepted(denoiser):
     noisy, true, _, normal = picture()
     assert error(denoiser.denoise(noisy, normal=normal), true) < error(noisy, true) / 50  # measured: 1/164
+
+
+def test_denoising_can_be_cancelled_and_begun_again(denoiser):
+    noisy = np.random.default_rng(5).random((96, 128, 3), np.float32)
+    told = []
+    try:
+        denoiser.progress = lambda done: told.append(done) or len(told) < 3
+        with pytest.raises(Cancelled):
+            denoiser.denoise(noisy)
+        assert len(told) == 3  # it stopped at once, long before the end
+        assert told[-1] < 0.5
+    finally:
+        denoiser.progress = None
+    assert denoiser.denoise(noisy).std() < 0.5 * noisy.std()
 
 
 def test_wrong_shape_is_named(denoiser):

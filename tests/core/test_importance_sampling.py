@@ -8,6 +8,7 @@ from lumigate.core.methods.importance_sampling import ImportanceSampling
 from lumigate.core.methods.light_cache import DEPTH, GUIDES, Probes, build_light_cache, look_up, no_cache
 from lumigate.core.methods.probes import trace_probes
 from lumigate.core.rays import RayScene
+from lumigate.core.threads import Cancelled
 from lumigate.core.transport import transport
 from lumigate.core.view.primary import view
 
@@ -95,6 +96,20 @@ def test_same_seed_same_bits(room):
 def test_later_passes_draw_other_rays(room):
     a, solver = estimate(room, 3000, 4, 4, 3)
     assert not np.array_equal(a, solver.irradiance(room[1], first=4))
+
+
+def test_filling_the_cache_can_be_cancelled_at_every_step(room):
+    tables, points = room
+    heard = []
+    ImportanceSampling(threads=1).cache_light(tables, points, lambda done: heard.append(done) or True, paths=1000)
+    assert heard == sorted(heard) and sum(done > 0.6 for done in heard) >= 5  # what follows the probes' rays is told, too
+    for step in range(len(heard)):
+        told = []
+        with pytest.raises(Cancelled):
+            ImportanceSampling().cache_light(
+                tables, points, lambda done, told=told, step=step: told.append(done) or len(told) <= step, paths=1000
+            )
+        assert len(told) == step + 1
 
 
 def probes_on_a_plane(n, direct, seed=0):
