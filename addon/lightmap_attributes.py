@@ -10,9 +10,9 @@ import numpy as np
 
 from ..core.errors import SceneError
 from ..core.lightmaps import bake_corners
-from ..core.pipeline import StageProgress
 from ..core.scene import Scene
 from ..core.settings import BakeSettings
+from ..core.stages import StageProgress
 from .extract import extract_scene
 from .lightmaps import triangles_by_object
 

@@ -12,9 +12,9 @@ import numpy as np
 from ..core.errors import SceneError
 from ..core.jit import CompileTimer
 from ..core.lightmaps import BakeResult, Target, bake, check_charts, texels_a_metre
-from ..core.pipeline import StageProgress
 from ..core.scene import Geometry, Scene
 from ..core.settings import BakeSettings
+from ..core.stages import StageProgress
 from .extract import extract_scene
 from .lightmap_atlas import ATLAS_LAYER, lay_out
 from .lightmap_uv import KeptUvs, Unwrap, ensure_uv

@@ -9,11 +9,11 @@ import numpy as np
 
 from ..denoise import Denoiser
 from ..errors import SceneError
-from ..pipeline import Run, StageProgress, light_points, method_of, prepared
 from ..rays.order import morton_order
 from ..scene import Scene, Skipped
 from ..settings import CONTENTS, BakeSettings
 from ..soundness import sound
+from ..stages import Run, StageProgress, light_points, method_of, prepared
 from ..threads import thread_count
 from ..transport import Transport
 from ..view.corners import view_corners

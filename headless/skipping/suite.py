@@ -16,9 +16,10 @@ import numpy as np
 from ...core.lamps import world_tables
 from ...core.methods.instant_radiosity import clamp_of
 from ...core.particles import trace_particles
-from ...core.pipeline import Run, prepared, render
+from ...core.pipeline import render
 from ...core.scene import Scene
 from ...core.settings import RenderSettings
+from ...core.stages import Run, prepared
 from ...core.view.primary import view
 from ...core.vpl_pool import contributions, view_subset, vpl_pool
 from .scenes import SCENES

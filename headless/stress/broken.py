@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...core import scene as sc
-from ...core.pipeline import AVAILABLE
+from ...core.stages import AVAILABLE
 from . import arrays
 from .outcome import Outcome
 from .rooms import bulb, irradiance, light, room, room_mesh

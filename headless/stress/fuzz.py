@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.pipeline import AVAILABLE, render
+from ...core.pipeline import render
 from ...core.settings import RenderSettings
+from ...core.stages import AVAILABLE
 from ...core.threads import thread_count
 from .outcome import Outcome
 from .path_tracer import path_traced

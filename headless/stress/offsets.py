@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import bpy
 import numpy as np
 
-from ...core.pipeline import AVAILABLE
 from ...core.scene import Scene
+from ...core.stages import AVAILABLE
 from ..sources import extract
 from .outcome import Outcome
 from .rooms import irradiance, light, room_mesh

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
-from ...core.pipeline import AVAILABLE
+from ...core.stages import AVAILABLE
 from ..bench_steps import Step
 from . import broken, numbers, scales
 from .files import damaged_files

@@ -8,8 +8,8 @@ import pytest
 from lumigate.core.denoise import Denoiser
 from lumigate.core.errors import SceneError
 from lumigate.core.lightmaps import Target, bake, check_charts, filling, seams
-from lumigate.core.pipeline import AVAILABLE as METHODS
 from lumigate.core.settings import BakeSettings, RenderSettings
+from lumigate.core.stages import AVAILABLE as METHODS
 from lumigate.core.threads import Cancelled
 from lumigate.core.view.texels import EMPTY, HIDDEN, LIT, Charts
 

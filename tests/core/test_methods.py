@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from lumigate.core.pipeline import AVAILABLE as METHODS
 from lumigate.core.pipeline import render
 from lumigate.core.settings import RenderSettings
+from lumigate.core.stages import AVAILABLE as METHODS
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from lumigate.core import scene as sc
 from lumigate.core.particles import Vpls
-from lumigate.core.pipeline import AVAILABLE
+from lumigate.core.stages import AVAILABLE
 from lumigate.core.view.points import ShadingPoints
 from lumigate.core.vpl_pool import vpl_pool
 from lumigate.headless.stress import broken, numbers, rooms, scales

@@ -7,7 +7,8 @@ import pytest
 
 from lumigate.core.inspection import savings
 from lumigate.core.lamps import build_emitters
-from lumigate.core.pipeline import one_by_one, render
+from lumigate.core.pipeline import render
+from lumigate.core.stages import one_by_one
 from lumigate.headless.skipping.scenes import SCENES
 from lumigate.headless.skipping.suite import WITH, lights_that_matter, skipping_rows
 
