@@ -53,7 +53,7 @@ from ..view.points import ShadingPoints
 from ..vpl_pool import Particles, vpl_pool
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
-from .light_cache import NEAR, LightCache, add_left, build_light_cache, find_cell, look_up
+from .light_cache import NEAR, LightCache, add_known, build_light_cache, find_cell, look_up
 from .probes import trace_probes
 from .tails import path_light
 
@@ -163,7 +163,7 @@ def _gather_leaf(
                         rest = _1 - bright / (bright + cache.tau) * min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
                         wr, wg, wb = wr * rest, wg * rest, wb * rest
                     if t > near:
-                        add_left(cache, cell, wr, wg, wb, out, k)
+                        add_known(cache, bounces - 1, cell, wr, wg, wb, out, k)
                         continue
                 evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
                 sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
@@ -341,7 +341,7 @@ class ImportanceSampling:
         paths = max(MIN_PATHS, int(PATHS * len(points.pixel) * (self.samples + self.gather))) if paths is None else paths
         probes, rays = trace_probes(scene, points, paths, self.seed ^ 0x51AB5, self.threads, part(progress, 0.0, 0.6))
         self.cache: LightCache = build_light_cache(
-            probes, self.bounces + has_lobes(points), self.seed, self.threads, part(progress, 0.6, 1.0), gathered=self.bounces
+            probes, self.bounces + has_lobes(points), self.seed, self.threads, part(progress, 0.6, 1.0)
         )
         self.near = np.float32(NEAR * self.cache.size)
         return rays

@@ -30,8 +30,6 @@ LATER = np.float32(0.2)  # weight of probes that no visible point has met itself
 NEAR = 2.0  # cells: surfaces nearer than this are not looked up but followed on
 BALANCE = np.float32(50.0)  # probes of mean brightness that the balance of the whole view counts for in each place
 MOST_BALANCE = np.float32(1.5)
-DOUBT = 4.0  # the same balance of the part that gather rays look up hangs on fewer probes
-MOST_LEFT = 50.0  # of tau, that one probe counts for: rarer and brighter spots tell more of luck than of a place
 GUIDES = 4  # every so-manyth path tells how bright cells are
 GUIDE_PRIOR = 4.0
 MOST_TURNS = 8  # of glossy reflections in the cache
@@ -83,8 +81,6 @@ class LightCache(NamedTuple):
     bright: (C,) float32, mean of the channels of the radiosity, from other paths: weights that
         hang on it are independent of the radiosity's noise, and so do not bias the product.
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
-    left: (C, 3 G) float32 W/m^2, for rays that look up only the part tau / (bright + tau) of the light.  Cells lend each other
-        light; where bright and dark ones lie close together, that part of the loan is more than it should be.
     """
 
     origin: np.ndarray
@@ -94,7 +90,6 @@ class LightCache(NamedTuple):
     radiosity: np.ndarray
     bright: np.ndarray
     tau: np.float32
-    left: np.ndarray
 
 
 def no_cache() -> LightCache:
@@ -182,15 +177,6 @@ def add_known(cache, row, cell, wr, wg, wb, out, i):
         out[i, c + 2] += wb * cache.radiosity[row, cell, c + 2]
 
 
-@leaf
-def add_left(cache, cell, wr, wg, wb, out, i):
-    """The same of what is left to gather rays."""
-    for c in range(0, out.shape[1], 3):
-        out[i, c] += wr * cache.left[cell, c]
-        out[i, c + 1] += wg * cache.left[cell, c + 1]
-        out[i, c + 2] += wb * cache.left[cell, c + 2]
-
-
 @kernel
 def _insert(probes, origin, size, seed, keys, slot, cells, level_of, centre, side_of):
     """Hash all probes at all levels: `cells` (N, LEVELS) int32; the number of cells, or -1 where the table is too small.
@@ -261,8 +247,8 @@ def _links(probes, cache, begin, end, seed, link_cell):
 def _solve(
     probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, level_of: np.ndarray,
     near: np.float32, radiosity: np.ndarray, threads: int, go_on: Callable[[float], None],
-) -> Callable[..., np.ndarray]:  # fmt: skip
-    """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes; what balances a bounce.
+) -> None:  # fmt: skip
+    """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
 
     cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
     """
@@ -297,13 +283,6 @@ def _solve(
     trust = np.float32(BALANCE / max(1, len(probes.valid) // DEPTH))
     likeness[:] = PRIOR
     sums = np.zeros((count, 2), np.float32)
-    everything = np.ones(count, np.float32)
-
-    def balanced(bounce: int, part: np.ndarray, most: float = np.inf, doubt: float = 1.0) -> np.ndarray:
-        light = radiosity[bounce].copy()
-        _balance(*looked_up, root, np.float32(doubt * trust), bounce, radiosity, part, np.float32(most), sums, light)
-        return light
-
     # Glossy links take no bounce: what they carry is found turn by turn.
     for turn in range(turns * len(radiosity)):
         go_on(0.4 + 0.6 * turn / (turns * len(radiosity)))
@@ -319,8 +298,7 @@ def _solve(
         run_chunks(send, LEVELS, 1, threads)  # the cells of a level are its own
         _smooth(total, linked, unit, parent, order, likeness)
         np.add(direct, total, out=radiosity[bounce])
-        radiosity[bounce] = balanced(bounce, everything)
-    return balanced
+        _balance(*looked_up, root, trust, bounce, radiosity, sums)
 
 
 def _add(places: np.ndarray, values: np.ndarray, out: np.ndarray, threads: int) -> None:
@@ -366,11 +344,10 @@ def _carried(carry, i, radiosity, row, cell):
 
 
 @kernel
-def _balance(sent, seen, carry, link, glossy, root, trust, bounce, radiosity, part, most, sums, light):
-    """Scales the cells of each coarsest one in `light` so that lookups find as much there as the probes themselves sent.
+def _balance(sent, seen, carry, link, glossy, root, trust, bounce, radiosity, sums):
+    """Scales the cells of each coarsest one so that lookups find as much light there as the probes themselves sent.
 
     What is looked up from afar lies brighter than what hides close by; smoothing over both takes from the first.
-    part: (C,) of the light of each cell, that is looked up.  most: that one probe counts for.
     sent: (M,) the direct light of the probes that may be looked up, sum of the channels.  seen: (M,) the cell that a lookup finds
     there.  link: (M,) negative where nothing is met.  trust: probes of mean brightness that the whole view counts for.
     """
@@ -380,11 +357,10 @@ def _balance(sent, seen, carry, link, glossy, root, trust, bounce, radiosity, pa
         row = bounce if glossy[i] else bounce - 1
         if link[i] >= 0 and row >= 0:
             own += _carried(carry, i, radiosity, row, link[i])
-        cell = seen[i]
-        at = root[cell]
-        sums[at, 0] += min(most, part[cell] * own)
+        at = root[seen[i]]
+        sums[at, 0] += own
         for k in range(radiosity.shape[2]):
-            sums[at, 1] += part[cell] * radiosity[bounce, cell, k]
+            sums[at, 1] += radiosity[bounce, seen[i], k]
     whole = found = _0
     for c in range(len(root)):
         whole += sums[c, 0]
@@ -397,8 +373,8 @@ def _balance(sent, seen, carry, link, glossy, root, trust, bounce, radiosity, pa
         # The factor of the whole view stands in where few probes know better.
         factor = (sums[at, 0] + known * whole / found) / max(sums[at, 1] + known, np.float32(1e-30))
         factor = min(MOST_BALANCE, max(_1 / MOST_BALANCE, factor))
-        for k in range(light.shape[1]):
-            light[c, k] *= factor
+        for k in range(radiosity.shape[2]):
+            radiosity[bounce, c, k] *= factor
 
 
 def _likeness(parent: np.ndarray, level_of: np.ndarray, number: np.ndarray, squares: np.ndarray, light: np.ndarray) -> np.ndarray:
@@ -499,12 +475,8 @@ def cell_size(probes: Probes, origin: np.ndarray, extent: float, seed: int) -> f
     return max(size, smallest)
 
 
-def build_light_cache(
-    probes: Probes, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None, *, gathered: int | None = None
-) -> LightCache:
+def build_light_cache(probes: Probes, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None) -> LightCache:
     """Cells that hold what the probes know of light that left 1 to `bounces` surfaces.
-
-    gathered: how many surfaces the light has left that gather rays look for (None: `bounces`).
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -533,16 +505,15 @@ def build_light_cache(
     go_on(0.3)
     level_of, centre, side_of = level_of[:count].copy(), centre[:count].copy(), side_of[:count].copy()
     radiosity = np.zeros((bounces, count, probes.direct.shape[1]), np.float32)
-    cache = LightCache(origin, size, keys, slot, radiosity, np.zeros(count, np.float32), np.float32(1), radiosity[-1])
+    cache = LightCache(origin, size, keys, slot, radiosity, np.zeros(count, np.float32), np.float32(1))
     parent = _parents(cache, level_of, centre, side_of)
     link_cell = np.empty(len(probes.valid), np.int64)
     run_chunks(lambda begin, end: _links(probes, cache, begin, end, np.uint32(seed), link_cell), len(link_cell), CHUNK, threads)
     seen_cell = look_up(cache, probes.position, probes.normal, probes.side, seed + 3, threads)
     go_on(0.4)
-    balanced = _solve(probes, cells, link_cell, seen_cell, parent, level_of, np.float32(NEAR * size), radiosity, threads, go_on)
+    _solve(probes, cells, link_cell, seen_cell, parent, level_of, np.float32(NEAR * size), radiosity, threads, go_on)
     _brightness(probes, cells, link_cell, parent, level_of, np.float32(GUIDE_PRIOR), radiosity, cache.bright, np.zeros(count, np.float32))
-    tau = np.float32(max(seen_light(cache, probes, seed + 1), 1e-30))
-    return cache._replace(tau=tau, left=balanced((gathered or bounces) - 1, tau / (cache.bright + tau), MOST_LEFT * tau, DOUBT))
+    return cache._replace(tau=np.float32(max(seen_light(cache, probes, seed + 1), 1e-30)))
 
 
 def _glossy_turns(probes: Probes) -> int:
