@@ -103,7 +103,6 @@ def no_cache() -> LightCache:
         none.reshape(1, 0, 3),
         none,
         np.float32(1),
-        none.reshape(0, 3),
     )
 
 
