@@ -44,7 +44,11 @@ class LightmapSettings(bpy.types.PropertyGroup):
         subtype="PIXEL",
     )
     texel_samples: bpy.props.IntProperty(
-        name="Texel Samples", description="Samples of a texel's footprint", default=_DEFAULT.texel_samples, min=1, max=16
+        name="Texel Samples",
+        description="Shading points of a texel, each with rays of its own",
+        default=_DEFAULT.texel_samples,
+        min=1,
+        max=16,
     )
     stitch: bpy.props.BoolProperty(
         name="Stitch Seams", description="Let both sides of a UV seam show the same light", default=_DEFAULT.stitch

@@ -264,7 +264,7 @@ class SequenceSettings:
 class BakeSettings:
     """How lightmaps are made; `render` says how their light is computed.
 
-    content: a key of `CONTENTS`.  texel_samples: 1 to 16 samples a texel.  margin: texels around each chart that are filled, too.
+    content: a key of `CONTENTS`.  texel_samples: 1 to 16 shading points a texel.  margin: texels around each chart that are filled, too.
     stitch: whether both sides of a UV seam are made to show the same light.
     """
 

@@ -37,7 +37,7 @@ def add_bake_settings(parser: argparse.ArgumentParser) -> None:
         type=texel_samples,
         default=BakeSettings.texel_samples,
         metavar="P",
-        help="samples a texel, 1 to 16 (default: %(default)s)",
+        help="shading points of a texel, each with rays of its own, 1 to 16 (default: %(default)s)",
     )
     add("--no-stitch", dest="stitch", action="store_false", help="leave UV seams as they are")
     add("--uv-map", default="Lightmap", metavar="NAME", help="the UV map to bake on, made where it is missing (default: %(default)s)")

@@ -1,8 +1,8 @@
 """From the texels of a lightmap to shading points: what the camera is to pixels, a UV map is to texels.
 
-A texel's value is the mean over its square, as a pixel's is: stratified samples in UV space, light computed once for each
-distinct normal among them.  Samples that nobody can see are left out, so that no dark creeps out from under a wall: those inside
-closed or touching geometry, and those that a wall parts from the middle of their texel.
+A texel's value is the mean over its square, as a pixel's is: stratified samples in UV space, each of them a shading point, for next
+to walls light varies steeply within a texel.  Samples that nobody can see are left out, so that no dark creeps out from under a wall:
+those inside closed or touching geometry, and those that a wall parts from the middle of their texel.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ..jit import kernel, leaf
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import WIDTH, disable_ray, hit_t, hit_triangle, is_occluded, new_packet, set_ray
 from ..rays.trace import OPAQUE, intersect_packet, occluded_packet
-from ..sampling.hashing import hash_combine, uniform
+from ..sampling.hashing import hash_combine
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..sampling.sequences import r2
 from ..scene import DIFFUSE, NORMAL_MAPPED
@@ -122,11 +122,10 @@ def cover(uv, y0, y1, width, samples, seed, found, weights):
 
 
 class _Samples(NamedTuple):
-    """S samples of one texel: positions, geometric and shading normals (S, 3), errors, footprints (m) and whether each counts (S,)."""
+    """S samples of one texel: positions and geometric normals (S, 3), errors, footprints (m) and whether each counts (S,)."""
 
     position: np.ndarray
     ng: np.ndarray
-    ns: np.ndarray
     error: np.ndarray
     footprint: np.ndarray
     valid: np.ndarray
@@ -136,8 +135,7 @@ class _Samples(NamedTuple):
 def _new_samples(samples):
     f = np.float32
     return _Samples(
-        np.empty((samples, 3), f), np.empty((samples, 3), f), np.empty((samples, 3), f), np.empty(samples, f), np.empty(samples, f),
-        np.empty(samples, np.uint8),
+        np.empty((samples, 3), f), np.empty((samples, 3), f), np.empty(samples, f), np.empty(samples, f), np.empty(samples, np.uint8)
     )  # fmt: skip
 
 
@@ -244,8 +242,6 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
     rows, surface = new_registers(scene.materials), np.zeros(SURFACE, np.float32)
     at = _new_samples(samples)
     direction = np.empty((samples, 3), np.float32)
-    group_of = np.empty(samples, np.int32)
-    first, members = np.empty(samples, np.int32), np.empty(samples, np.int32)
     n_points = rays = 0
     for k in range(len(found)):
         texel = y0 * width + k
@@ -269,10 +265,8 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
         if samples > 1:
             rays += _drop_beyond_walls(scene, packet, at, np.uint32(seed), texel)
         share = _1 / np.float32(at.valid.astype(np.int64).sum())
-        groups = 0
         out = layers[texel]
         for s in range(samples):
-            group_of[s] = -1
             if not at.valid[s]:
                 continue
             triangle, u, v = triangles[found[k, s]], weights[k, s, 0], weights[k, s, 1]
@@ -286,7 +280,6 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
                 sx, sy, sz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
             if sx * gx + sy * gy + sz * gz < 0:
                 sx, sy, sz = -sx, -sy, -sz
-            at.ns[s, 0], at.ns[s, 1], at.ns[s, 2] = sx, sy, sz
             if materials:
                 r, g, b = diffuse_albedo_average(surface)
                 out[ALBEDO] += share * r
@@ -295,36 +288,18 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
             for c in range(3):
                 if materials:
                     out[EMITTED + c] += share * surface[EMISSION + c]
-                out[NORMALS + c] += share * at.ns[s, c]
                 out[POSITION + c] += share * at.position[s, c]
-            group = 0
-            while group < groups and _cosine(at.ns, s, first[group]) < SAME_NORMAL:
-                group += 1
-            if group == groups:
-                first[groups], members[groups] = s, 0
-                groups += 1
-            group_of[s] = group
-            members[group] += 1
-        for group in range(groups):
-            # A member drawn at random stands for all: right in the mean, however steeply the light varies in the texel.
-            left = np.int64(uniform(seed, texel, group, 1) * np.float32(members[group]))
-            best = first[group]
-            for s in range(samples):
-                if group_of[s] == group:
-                    best = s
-                    left -= 1
-                    if left < 0:
-                        break
-            i = n_points
+                points.position[n_points, c] = at.position[s, c]
+                points.ng[n_points, c] = points.wo[n_points, c] = at.ng[s, c]
+                points.albedo[n_points, c] = share
+                points.f0[n_points, c] = points.f90[n_points, c] = _0
+            out[NORMALS] += share * sx
+            out[NORMALS + 1] += share * sy
+            out[NORMALS + 2] += share * sz
+            points.ns[n_points, 0], points.ns[n_points, 1], points.ns[n_points, 2] = sx, sy, sz
+            points.error[n_points], points.roughness[n_points] = at.error[s], _1
+            points.pixel[n_points], points.triangle[n_points] = texel, triangle
             n_points += 1
-            for c in range(3):
-                points.position[i, c] = at.position[best, c]
-                points.ng[i, c] = points.wo[i, c] = at.ng[best, c]
-                points.ns[i, c] = at.ns[best, c]
-                points.albedo[i, c] = share * np.float32(members[group])
-                points.f0[i, c] = points.f90[i, c] = _0
-            points.error[i], points.roughness[i] = at.error[best], _1
-            points.pixel[i], points.triangle[i] = texel, triangles[found[k, best]]
     return n_points, rays
 
 

@@ -1,6 +1,7 @@
 """Lightmaps from arrays: a closed form, what UV maps are refused, margins, seams, and denoised edges."""
 
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,11 +32,11 @@ def furnace(build):
     """A closed cube of albedo 0.5 and radiance 1, without a camera, and the target of all its walls."""
     scene = build.scene(build.geometry(*build.quads(*[[CORNERS[k] for k in face] for face in INWARD])), build.materials((0.5, 1.0)))
     scene.camera = None
-    return scene, Target("Walls", np.arange(12, dtype=np.int32), cells(6, 3), (96, 64))
+    return scene, Target("Walls", np.arange(12, dtype=np.int32), cells(6, 3), (48, 32))
 
 
 def settings(method="auto", seed=3, content="irradiance", **more):
-    return BakeSettings(RenderSettings(method=method, vpls=512, bounces=2, direct_samples=64, seed=seed), content=content, **more)
+    return BakeSettings(RenderSettings(method=method, vpls=512, bounces=2, direct_samples=32, seed=seed), content=content, **more)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -43,6 +44,8 @@ def test_furnace(furnace, method):
     # Radiance 1 from everywhere: irradiance pi directly, and (rho + rho^2) pi after two bounces.
     scene, target = furnace
     direct, indirect = np.pi, np.pi * (0.5 + 0.25)
+    if method == "fuzzy-clustering":  # its clusters of points are as large as the walls where texels are few
+        target = replace(target, size=(96, 64))
     expected = {"irradiance": direct + indirect, "indirect": indirect, "full": 0.5 * (direct + indirect) / np.pi + 1.0}
     for content, value in expected.items():
         found = [bake(scene, [target], settings(method, seed, content)).lightmaps[0] for seed in (1, 2)]
