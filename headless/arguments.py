@@ -21,7 +21,7 @@ from .sequence_arguments import add_sequence, frame, frame_range, sequence_setti
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 SUITES = (  # of `bench`
-    *("kernels", "clustering", "fuzzy", "vals", "topology", "previews", "curves", "lightmaps", "frames", "farm"),
+    *("kernels", "clustering", "fuzzy", "vals", "topology", "previews", "radiosity", "curves", "lightmaps", "frames", "farm"),
     *("auto", "scaling", "stress", "skipping", "papers", "quick", "full"),
 )
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit

@@ -16,7 +16,9 @@ from .fuzzy_bench import fuzzy_rows
 from .kernel_bench import ray_rows
 from .lightmap_bench import lightmap_rows
 from .preview_bench import preview_rows
+from .radiosity_bench import radiosity_steps
 from .scaling_bench import scaling_steps
+from .shading_bench import shading_rows
 from .skipping.suite import skipping_rows
 from .stress.suite import stress_steps
 from .topology_bench import topology_rows
@@ -63,12 +65,13 @@ def _alone(name: str, rows: Callable[..., list[dict]], pictured: bool = False) -
 
 # Keys as in `arguments.SUITES`; each makes the steps of a suite whose pictures go into a folder.
 STEPS: dict[str, Callable[..., list[Step]]] = {
-    "kernels": _alone("kernels", ray_rows),
+    "kernels": lambda folder: [Step("shadow rays", ray_rows), Step("shading", shading_rows)],
     "clustering": _alone("clustering", clustering_rows),
     "fuzzy": _alone("fuzzy", fuzzy_rows),
     "vals": _alone("vals", vals_rows),
     "topology": _alone("topology", topology_rows, pictured=True),
     "previews": _alone("previews", preview_rows),
+    "radiosity": radiosity_steps,
     "curves": curves_steps,
     "lightmaps": _alone("lightmaps", lightmap_rows),
     "frames": _alone("frames", frames_rows, pictured=True),
