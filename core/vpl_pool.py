@@ -28,6 +28,7 @@ Particles = Callable[[Transport, int, int, int, int], tuple[Vpls, int]]
 BATCH = 8  # particles a batch, for each VPL wanted
 LARGE, LARGE_BATCH = 1 << 19, 2  # particles beyond which a batch has fewer: a million VPLs would take gigabytes
 MOST_BATCHES = 16
+MOST_FLOWN = 1 << 23  # particles in all, which are in memory at once: the same for 65,536 VPLs as ever, 1 GiB for a million
 ENOUGH = 1.5  # lights that matter, for each VPL wanted
 SUBSET = 96  # shading points that stand for the view
 RAYS_EACH = 8  # shadow rays that tell how much of the view a light reaches
@@ -166,6 +167,7 @@ def vpl_pool(
     importance: list[np.ndarray] = []
     g_max = None
     flown = max(64, min(count * BATCH, max(count * LARGE_BATCH, LARGE)))
+    batches = min(batches, max(1, MOST_FLOWN // flown))
     for batch in range(batches):
         vpls, rays = particles(scene, flown, bounces, seed + 7919 * batch, threads)
         counts["light"] += rays

@@ -5,11 +5,11 @@ Exit status: 0 done; 2 bad usage or a scene that cannot be rendered; 130 cancell
 
 import importlib
 import importlib.util
-import signal
 import sys
 import traceback
-from contextlib import contextmanager
 from pathlib import Path
+
+CANCELLED = "lumigate: cancelled"
 
 
 def _load_package() -> None:
@@ -27,6 +27,19 @@ def main(argv: list[str] | None = None, *, in_blender: bool = False) -> int:
     argv: the arguments (default: the process's own).  in_blender: Blender runs this as its script, so that its own
     arguments come first, up to `--`, and its open file is the scene where none is named.
     """
+    from .interrupts import Interrupts
+
+    interrupts = Interrupts()
+    with interrupts.listening():
+        try:
+            return _main(argv, in_blender, interrupts)
+        except KeyboardInterrupt:  # before or after there is a terminal to say so
+            print(CANCELLED, file=sys.stderr)
+            return 130
+
+
+def _main(argv: list[str] | None, in_blender: bool, interrupts) -> int:
+    """`main` where Ctrl-C is heard; interrupts: an `Interrupts`."""
     from .arguments import parse
 
     try:
@@ -34,7 +47,7 @@ def main(argv: list[str] | None = None, *, in_blender: bool = False) -> int:
     except SystemExit as stop:  # argparse has printed its line
         return int(stop.code or 0)
     try:
-        return _run(arguments)
+        return _run(arguments, interrupts)
     except ModuleNotFoundError as error:  # a Blender's own Python has only what the extension brought
         package = (error.name or "lumigate").partition(".")[0]
         if package == "lumigate":
@@ -43,31 +56,24 @@ def main(argv: list[str] | None = None, *, in_blender: bool = False) -> int:
         return 2
 
 
-def _run(arguments) -> int:
+def _run(arguments, interrupts) -> int:
     from ..core.errors import SceneError
     from ..core.threads import Cancelled
     from .console import open_terminal
 
-    with _terminate_as_interrupt(), open_terminal() as terminal:
+    with open_terminal(interrupts) as terminal:
         try:
             importlib.import_module(f".commands.{arguments.command}", __package__).run(arguments, terminal)
+        except (Cancelled, KeyboardInterrupt):
+            terminal.say(CANCELLED)
+            return 130
         except SceneError as error:
+            if interrupts.heard:  # what was read when it came could not be read to its end
+                terminal.say(CANCELLED)
+                return 130
             terminal.say(f"lumigate: error: {error}")
             return 2
-        except (Cancelled, KeyboardInterrupt):
-            terminal.say("lumigate: cancelled")
-            return 130
     return 0
-
-
-@contextmanager
-def _terminate_as_interrupt():
-    """SIGTERM cancels as Ctrl-C does, so that a render farm's kill leaves no partial file either."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,8 @@ from typing import TextIO
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from .interrupts import Interrupts
+
 _PIPE_WIDTH = 200  # columns of a table where no terminal says how many there are
 
 
@@ -51,7 +53,8 @@ def _leading_nowhere(descriptor: int) -> Iterator[None]:
 class Terminal:
     """The user's two streams: `out` for results, `err` for progress and messages; both are rich consoles."""
 
-    def __init__(self, out: TextIO, err: TextIO):
+    def __init__(self, out: TextIO, err: TextIO, interrupts: Interrupts | None = None):
+        self.interrupts = interrupts or Interrupts()
         self.out, self.err = (
             Console(file=stream, highlight=False, width=None if stream.isatty() else _PIPE_WIDTH) for stream in (out, err)
         )
@@ -81,7 +84,7 @@ class Terminal:
             TimeRemainingColumn(),
         )
         with Progress(*columns, console=self.err, transient=True, disable=not self.err.is_terminal) as bars:
-            yield ProgressBar(bars)
+            yield ProgressBar(bars, self.interrupts)
 
     @contextmanager
     def waiting(self, stage: str) -> Iterator[None]:
@@ -96,25 +99,26 @@ class Terminal:
 class ProgressBar:
     """Shows one stage at a time; called by the pipeline as progress(stage, fraction)."""
 
-    def __init__(self, bars: Progress):
+    def __init__(self, bars: Progress, interrupts: Interrupts):
         self._bars = bars
+        self._interrupts = interrupts
         self._task = bars.add_task("", total=1.0)
         self._stage = ""
 
     def __call__(self, stage: str, fraction: float) -> bool:
-        """Show `fraction` (0..1) of `stage`; never cancels (Ctrl-C does)."""
+        """Show `fraction` (0..1) of `stage`; False where Ctrl-C was heard."""
         if stage != self._stage:
             self._stage = stage
             self._bars.reset(self._task, total=1.0, description=stage)
         self._bars.update(self._task, completed=fraction)
-        return True
+        return not self._interrupts.heard
 
 
 @contextmanager
-def open_terminal() -> Iterator[Terminal]:
-    """The user's terminal, with Blender's stdout silenced while it is open."""
+def open_terminal(interrupts: Interrupts) -> Iterator[Terminal]:
+    """The user's terminal, with Blender's stdout silenced while it is open; its progress asks `interrupts`."""
     with _private(sys.stdout, 1) as out, _private(sys.stderr, 2) as err, _leading_nowhere(1):
-        yield Terminal(out, err)
+        yield Terminal(out, err, interrupts)
 
 
 @contextmanager

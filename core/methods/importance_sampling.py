@@ -63,6 +63,7 @@ BLOCK = 16  # of them, summed together
 PICKS = 8  # of a subset: more of them go to further subsets
 PATHS = 0.08  # of the cache, for each ray of the points
 MIN_PATHS = 20000
+PATHS_A_POINT = 64  # at most: a view of a few points does not need as many
 BATCHES = 4  # of particles: those whose light gather rays carry need not be many
 LARGE = np.float32(1e4)
 _0 = np.float32(0.0)
@@ -338,7 +339,9 @@ class ImportanceSampling:
     def cache_light(self, scene: Transport, points: ShadingPoints, progress: Progress | None = None, *, paths: int | None = None) -> int:
         """Fill the cache of light from `paths` paths that begin at the points (None: as the samples need); the rays traced."""
         self.scene = scene
-        paths = max(MIN_PATHS, int(PATHS * len(points.pixel) * (self.samples + self.gather))) if paths is None else paths
+        if paths is None:
+            n = len(points.pixel)
+            paths = max(min(MIN_PATHS, PATHS_A_POINT * n), int(PATHS * n * (self.samples + self.gather)))
         probes, rays = trace_probes(scene, points, paths, self.seed ^ 0x51AB5, self.threads, part(progress, 0.0, 0.6))
         self.cache: LightCache = build_light_cache(
             probes, self.bounces + has_lobes(points), self.seed, self.threads, part(progress, 0.6, 1.0)

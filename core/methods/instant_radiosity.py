@@ -211,6 +211,11 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
     return rays
 
 
+def _some(rng: np.random.Generator, n: int, most: int) -> np.ndarray:
+    """Indices of `most` out of n things, drawn at random; of all of them where they are not more."""
+    return rng.integers(0, n, most) if n > most else np.arange(n)
+
+
 def clamp_of(vpls: Vpls, points: ShadingPoints, share: float = 0.05, subset: int = 256, seed: int = 0) -> float:
     """G_max at which one mean VPL gives at most `share` of the mean irradiance of the points (unshadowed).
 
@@ -219,8 +224,7 @@ def clamp_of(vpls: Vpls, points: ShadingPoints, share: float = 0.05, subset: int
     if len(vpls.bounce) == 0 or len(points.pixel) == 0:
         return np.inf
     rng = np.random.default_rng(seed)
-    at = rng.integers(0, len(points.pixel), subset)
-    by = rng.integers(0, len(vpls.bounce), 1024)
+    at, by = _some(rng, len(points.pixel), subset), _some(rng, len(vpls.bounce), 1024)
     # By components: sums over an axis of three are ten times as slow.
     d = [vpls.position[by, i].astype(np.float64) - points.position[at, i, None] for i in range(3)]
     r2_ = np.maximum(d[0] * d[0] + d[1] * d[1] + d[2] * d[2], 1e-30)

@@ -25,9 +25,10 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     folder = arguments.output
     folder.mkdir(parents=True, exist_ok=True)
     frame = render_frame(open_source(SCENE), View(size=arguments.size or SIZE), SETTINGS, terminal)
-    write_exr(folder / f"{SCENE}.exr", frame.layers)
-    write_json(folder / f"{SCENE}.json", frame.stats)
-    previews = write_previews(folder, frame.layers)
+    with terminal.interrupts.held():
+        write_exr(folder / f"{SCENE}.exr", frame.layers)
+        write_json(folder / f"{SCENE}.json", frame.stats)
+        previews = write_previews(folder, frame.layers)
     _print(frame.stats, folder, previews, terminal)
 
 

@@ -54,10 +54,11 @@ def write_summary(arguments: Namespace, files: dict[int, Path], rows: list[dict]
 def _save(frame: Frame, output: Path, stats: Path | None, terminal: Terminal) -> None:
     for warning in frame.stats["warnings"]:
         terminal.warn(warning)
-    write_exr(output, frame.layers)
-    write_debug_pictures(output, frame.layers)
-    if stats is not None:
-        write_json(stats, frame.stats)
+    with terminal.interrupts.held():
+        write_exr(output, frame.layers)
+        write_debug_pictures(output, frame.layers)
+        if stats is not None:
+            write_json(stats, frame.stats)
     width, height = frame.stats["size"]
     terminal.out.print(
         f"{output}: {width}x{height}, {frame.stats['method']}, {frame.stats['seconds_total']:.2f} s", markup=False, soft_wrap=True

@@ -159,6 +159,6 @@ def million(method: str) -> Iterator[Outcome]:
     """A million VPLs, whose light is that of a thousand."""
     from .scales import near
 
-    few_lights = irradiance(light(room(size=(4, 3)), method, vpls=1024))
-    many = irradiance(light(room(size=(4, 3)), method, vpls=1_000_000, threads=0, vpl_clusters=1000))
+    few_lights = irradiance(light(room(size=(4, 3)), method, vpls=1024, bounces=1))
+    many = irradiance(light(room(size=(4, 3)), method, vpls=1_000_000, bounces=1, threads=0, vpl_clusters=1000))
     yield near("a million VPLs: irradiance", method, many, few_lights, 0.1)

@@ -106,7 +106,7 @@ def test_filling_the_cache_can_be_cancelled_at_every_step(room):
     for step in range(len(heard)):
         told = []
         with pytest.raises(Cancelled):
-            ImportanceSampling().cache_light(
+            ImportanceSampling(threads=1).cache_light(
                 tables, points, lambda done, told=told, step=step: told.append(done) or len(told) <= step, paths=1000
             )
         assert len(told) == step + 1
