@@ -63,7 +63,10 @@ def _run(arguments, interrupts) -> int:
 
     with open_terminal(interrupts) as terminal:
         try:
-            importlib.import_module(f".commands.{arguments.command}", __package__).run(arguments, terminal)
+            with interrupts.held():
+                command = importlib.import_module(f".commands.{arguments.command}", __package__)
+            interrupts.check()
+            command.run(arguments, terminal)
         except (Cancelled, KeyboardInterrupt):
             terminal.say(CANCELLED)
             return 130

@@ -32,12 +32,18 @@ class Interrupts:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """What is begun inside the block is ended, however it is interrupted: the files of one frame appear together."""
+        """What is begun inside the block is ended, however it is interrupted: the files of one frame appear together, and
+        no library is left half imported."""
         self._held = True
         try:
             yield
         finally:
             self._held = False
+
+    def check(self) -> None:
+        """Raises KeyboardInterrupt where the user has asked to stop."""
+        if self.heard:
+            raise KeyboardInterrupt
 
     def _hear(self, number, frame) -> None:
         self.heard = True

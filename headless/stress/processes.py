@@ -58,25 +58,21 @@ def run(
 
     stop: a signal and the seconds after `ready` at which it is sent.  limit: called in the process before anything else.
     """
-    root = Path(__file__).resolve().parents[2]
-    with tempfile.TemporaryDirectory() as beside:
-        (Path(beside) / "lumigate").symlink_to(root, target_is_directory=True)
-        variables = os.environ | {"PYTHONPATH": os.pathsep.join([beside, os.environ.get("PYTHONPATH", "")])} | environment
-        command = [sys.executable, "-c", code, *arguments]
-        with subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder, env=variables, preexec_fn=limit
-        ) as process:
-            process.stdout.readline()
-            begin = time.monotonic()
-            try:
-                if stop is not None:
-                    time.sleep(stop[1])
-                    process.send_signal(stop[0])
-                out, err = process.communicate(timeout=SECONDS)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                out, err = process.communicate()
-                err += f"no end after {SECONDS} s"
+    command = [sys.executable, "-c", code, *arguments]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder, env=os.environ | environment, preexec_fn=limit
+    ) as process:
+        process.stdout.readline()
+        begin = time.monotonic()
+        try:
+            if stop is not None:
+                time.sleep(stop[1])
+                process.send_signal(stop[0])
+            out, err = process.communicate(timeout=SECONDS)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            out, err = process.communicate()
+            err += f"no end after {SECONDS} s"
     return Ending(process.returncode, out, err, time.monotonic() - begin)
 
 
