@@ -12,11 +12,11 @@ import bpy
 from ..core.errors import SceneError
 from ..core.jit import CompileTimer
 from ..core.layers import Layers
-from ..core.pipeline import render
 from ..core.scene import Scene
 from ..core.settings import RenderSettings
 from .console import Terminal
 from .sources import extract
+from .tiled import render_fitting
 from .topology_files import StoredTopologies
 
 TOPOLOGIES = StoredTopologies()
@@ -58,7 +58,7 @@ def render_frame(scene: bpy.types.Scene, view: View, settings: RenderSettings, t
         arrays = view.extract(scene)
         seconds = perf_counter() - begin - compiling.seconds
     with terminal.progress() as progress:
-        result = render(arrays, settings, progress, extraction_seconds=seconds, topologies=TOPOLOGIES)
+        result = render_fitting(arrays, settings, progress, extraction_seconds=seconds, topologies=TOPOLOGIES)
     result.stats["seconds"]["jit"] += compiling.seconds
     return Frame(arrays, result.layers, result.stats)
 

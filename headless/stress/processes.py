@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -33,6 +34,16 @@ from lumigate.core import jit
 from lumigate.core.sampling.sequences import r2_points
 print('ready', flush=True)
 print(zlib.crc32(jit.kernel(r2_points.py_func)(0, 64, 3).tobytes()))
+"""
+# A process that renders, and children of it that do so with 1, 2 and 16 threads.
+CHILDREN = """
+import multiprocessing, sys
+from lumigate.headless.stress.processes import picture_hash
+if __name__ == '__main__':
+    print('ready', flush=True)
+    print(picture_hash(2))
+    with multiprocessing.get_context(sys.argv[1]).Pool(2) as pool:
+        print(*pool.map(picture_hash, (1, 2, 16)))
 """
 
 
@@ -136,8 +147,8 @@ def signals(moments: int = MOMENTS, kills: int = KILLS) -> Iterator[Outcome]:
         yield _counted(f"a render {label}, {count} random moments", _many(case, times))
 
 
-def caches(together: int = TOGETHER, kills: int = KILLS) -> Iterator[Outcome]:
-    """Processes that compile into one cache at once, some killed; caches that cannot be written; topologies shared by two renders."""
+def compilers(together: int = TOGETHER, kills: int = KILLS) -> Iterator[Outcome]:
+    """Processes that compile one kernel: without a cache, all at once into an empty one, and after some that were killed."""
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(together) as pool:
         folder = Path(name)
         own = {"folder": folder, "NUMBA_CACHE_DIR": str(folder / "numba")}
@@ -146,23 +157,45 @@ def caches(together: int = TOGETHER, kills: int = KILLS) -> Iterator[Outcome]:
         endings = list(pool.map(lambda _: run(COMPILE, **own), range(together)))
         yield _counted(f"{together} processes on one empty cache: other results", [e.err[-200:] for e in endings if e.out != whole.out])
         for k in range(kills):
-            (folder / "numba").mkdir(exist_ok=True)
             for file in (folder / "numba").rglob("*.nb?"):
                 file.unlink()
             run(COMPILE, stop=(signal.SIGKILL, whole.seconds * k / kills), **own)
         ending = run(COMPILE, **own)
-        yield _counted(
-            f"after {kills} processes killed while they compiled: other results", [] if ending.out == whole.out else [ending.err[-200:]]
-        )
-        folders = [folder / f"render{k}" for k in range(2)]
+        sound = ending.out == whole.out
+        yield _counted(f"after {kills} processes killed while they compiled: other results", [] if sound else [ending.err[-200:]])
+
+
+def caches() -> Iterator[Outcome]:
+    """Two renders that build one topology at once, and one whose cache cannot be written."""
+    with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(2) as pool:
+        folders = [Path(name) / f"render{k}" for k in range(2)]
         for place in folders:
             place.mkdir()
-        endings = list(pool.map(lambda place: run(START, *RENDER, *GATES, folder=place, LUMIGATE_CACHE=str(folder / "cache")), folders))
+        endings = list(pool.map(lambda place: run(START, *RENDER, *GATES, folder=place, LUMIGATE_CACHE=f"{name}/cache"), folders))
         pictures = {(place / "out.exr").read_bytes() for place in folders if (place / "out.exr").exists()}
-        faults = [e.err[-200:] for e in endings if e.status] + ["pictures differ"] * (len(pictures) != 1)
+        faults = [ending.err[-200:] for ending in endings if ending.status] + ["pictures differ"] * (len(pictures) != 1)
         yield _counted("two renders that build one topology: faults, other pictures", faults)
-        ending = run(START, *RENDER, *GATES, folder=folder, LUMIGATE_CACHE="/dev/null/none")
+        ending = run(START, *RENDER, *GATES, folder=Path(name), LUMIGATE_CACHE="/dev/null/none")
         yield _counted("a render without a writable cache: faults", [] if ending.status == 0 else [ending.err[-200:]])
+
+
+def picture_hash(threads: int) -> int:
+    """Of the indirect light of the stress room, denoised."""
+    from .rooms import light, room
+
+    return zlib.crc32(light(room(), "importance-sampling", threads=threads, denoise=True)["Indirect"].tobytes())
+
+
+def children() -> Iterator[Outcome]:
+    """Forked and spawned children of a process that has rendered already: the same bits."""
+    for way in ("fork", "spawn"):
+        with tempfile.TemporaryDirectory() as name:
+            ending = run(CHILDREN, way, folder=Path(name))
+        hashes = set(ending.out.split())
+        sound = ending.status == 0 and len(hashes) == 1
+        yield _counted(
+            f"renders in a process and in children by {way}: other bits, faults", [] if sound else [f"{hashes} {ending.err[-200:]}"]
+        )
 
 
 def limits() -> Iterator[Outcome]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ...core.stages import AVAILABLE
 from ..bench_steps import Step
-from . import broken, numbers, scales
+from . import broken, numbers, processes, scales
 from .files import damaged_files
 from .fuzz import SCENES, random_scenes
 from .offsets import offsets
@@ -33,10 +33,22 @@ CASES: tuple[Callable[[str], Iterable[Outcome]], ...] = (
 )
 
 
+# Generators of lines about no method or all of them.
+TOGETHER: tuple[Callable[[], Iterable[Outcome]], ...] = (
+    offsets,
+    damaged_files,
+    processes.signals,
+    processes.compilers,
+    processes.caches,
+    processes.children,
+    processes.limits,
+)
+
+
 def stress_steps(folder: Path, scenes: int = SCENES) -> list[Step]:
     """`bench stress`: a step for each kind of case by all methods, one for `scenes` random scenes; nothing is left in `folder`."""
     steps = [Step(case.__name__, partial(_rows, case, AVAILABLE)) for case in CASES]
-    steps += [Step(case.__name__, partial(_rows, lambda _, case=case: case(), ("all",))) for case in (offsets, damaged_files)]
+    steps += [Step(case.__name__, partial(_rows, lambda _, case=case: case(), ("all",))) for case in TOGETHER]
     return [*steps, Step(f"{scenes} random scenes", partial(_rows, lambda _: random_scenes(scenes), ("all",)))]
 
 

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from lumigate.headless.cli import main
-from lumigate.headless.stress.files import mutate, write_originals
+from lumigate.headless.stress.files import ends_with_a_line, mutate, write_originals
 
 
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory):
-    """A sound .glb, .obj and EXR file, by suffix."""
+    """A sound .blend, .glb, .obj and EXR file, by suffix."""
     return {path.suffix: path for path in write_originals(tmp_path_factory.mktemp("originals"))}
 
 
@@ -22,6 +22,14 @@ def test_damage_ends_with_a_line(originals, tmp_path, capsys, suffix, seed):
     status = main(["compare", str(file), str(file)] if suffix == ".exr" else ["inspect", str(file)])
     out, err = capsys.readouterr()
     assert (status == 0 and out) or (status == 2 and err.startswith("lumigate: error: ") and err.count("\n") == 1)
+    assert [path.name for path in tmp_path.iterdir()] == [file.name]
+
+
+def test_a_damaged_blend_file_ends_with_a_line(originals, tmp_path):
+    # In a process of its own: Blender reads it in C, and a crash there would be the end of the tests.
+    file = tmp_path / "scene.blend"
+    file.write_bytes(mutate(originals[".blend"].read_bytes(), np.random.default_rng(4)))
+    assert ends_with_a_line(file) == ""
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
 
 

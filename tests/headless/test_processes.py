@@ -1,0 +1,60 @@
+"""The fast part of what the system does to a process: interrupts, kills, shared caches."""
+
+import signal
+
+import pytest
+
+from lumigate.core.threads import Cancelled, run_chunks
+from lumigate.headless.console import Terminal
+from lumigate.headless.interrupts import Interrupts
+from lumigate.headless.stress import processes
+from lumigate.headless.stress.processes import interruption, killing, run
+
+
+def test_an_interrupt_is_raised_and_written_down():
+    before = signal.getsignal(signal.SIGINT)
+    interrupts = Interrupts()
+    with pytest.raises(KeyboardInterrupt), interrupts.listening():
+        signal.raise_signal(signal.SIGINT)
+    assert interrupts.heard
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_what_is_held_is_ended_and_the_next_progress_cancels():
+    interrupts = Interrupts()
+    terminal = Terminal.silent()
+    terminal.interrupts = interrupts
+    ended = []
+    with interrupts.listening():
+        with interrupts.held():
+            signal.raise_signal(signal.SIGTERM)
+            ended.append("file")
+        with terminal.progress() as progress, pytest.raises(Cancelled):
+            run_chunks(lambda begin, end: None, 4, 1, 1, lambda done: progress("view", done))
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check()
+    assert ended == ["file"]
+
+
+@pytest.mark.parametrize("moment", [0.05, 1.2])
+def test_a_render_that_is_interrupted_leaves_everything_as_it_was(tmp_path, moment):
+    assert interruption(tmp_path, moment) == ""
+
+
+def test_a_render_that_is_killed_leaves_no_half_file(tmp_path):
+    assert killing(tmp_path, 1.5) == ""
+
+
+def test_one_cache_serves_many_processes_and_survives_a_kill():
+    assert [line.case for line in processes.compilers(together=2, kills=1) if not line.passed] == []
+
+
+def test_a_process_that_hangs_is_found(tmp_path, monkeypatch):
+    monkeypatch.setattr(processes, "SECONDS", 0.2)
+    ending = run("print('ready', flush=True); import time; time.sleep(60)", folder=tmp_path)
+    assert ending.status == -signal.SIGKILL and "no end after" in ending.err
+
+
+def test_a_torn_output_is_found(tmp_path, monkeypatch):
+    monkeypatch.setattr(processes, "run", lambda *_, folder, **__: (folder / "out.exr").write_bytes(b"half"))
+    assert killing(tmp_path, 0.0).startswith("torn")
