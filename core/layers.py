@@ -195,6 +195,8 @@ def read_exr(path: str | os.PathLike, view_layer: str | None = None) -> Layers:
         raise SceneError(f"cannot read {path}: {_reason(oiio)}")
     try:
         return _read_parts(image, path, view_layer)
+    except UnicodeDecodeError as error:
+        raise SceneError(f"cannot read {path}: a name in its header is damaged") from error
     finally:
         image.close()
 

@@ -18,6 +18,8 @@ SLIVERS = 64
 # Radiance that may pass a closed wall, in a room of about 0.1 W/m2/sr: nothing, but for shadow maps, whose texels are wider than a wall.
 LEAK = dict.fromkeys(AVAILABLE, 0.0) | {"virtual-area-lights": 1e-3}
 
+CRACKS = (1e-7, 1e-5, 1e-3)  # metres, in a room of 2 m
+
 
 def _extra_triangles(corners, material: int = 2) -> tuple:
     corners = np.asarray(corners, float).reshape(-1, 3)
@@ -114,6 +116,19 @@ def walls(method: str) -> Iterator[Outcome]:
             value = float(sum(np.abs(layers[name]).max() for name in ("Direct", "Indirect")))
             case = f"lamp {place} behind a wall of {what}: light before it"
             yield Outcome(case, method, f"<= {LEAK[method]:g} W/m2/sr", value, value <= LEAK[method])
+
+
+def cracks(method: str) -> Iterator[Outcome]:
+    """A dark room whose walls end just below the ceiling, with a lamp outside that shines into the crack: no more light than it lets in."""
+    for width in CRACKS:
+        vertices, triangles = arrays.box((-1, -1, -1), (1, 1, 1 - width))
+        ceiling = arrays.quads([(-1, -1, 1), (-1, 1, 1), (1, 1, 1), (1, -1, 1)])
+        scene = room(lamps=bulb(position=(3, 0, 1 - width / 2)))
+        scene.geometry = arrays.geometry(*arrays.join((vertices, triangles[:-2], 2), (*ceiling, 2)))
+        layers = light(scene, method)
+        value = sum(float(layers[name].mean(dtype=np.float64)) for name in ("Direct", "Indirect"))
+        most = 10 * width + LEAK[method]
+        yield Outcome(f"crack of {width:g} m in a dark room: light inside", method, f"0 to {most:g} W/m2/sr", value, 0 <= value <= most)
 
 
 def places(method: str) -> Iterator[Outcome]:

@@ -14,8 +14,8 @@ from .outcome import Outcome
 from .rooms import irradiance, light, room_mesh
 from .scales import near
 
-# Powers of two of metres from a room of 2 m: Blender's own float32 matrices hold the lamp's and camera's places exactly.
-OFFSETS = tuple(2.0**k for k in (4, 8, 12, 16, 20))
+# Powers of two of metres, up to a million times the size of a room of 2 m: Blender's own float32 matrices hold the lamp's and camera's places exactly.
+OFFSETS = tuple(2.0**k for k in (4, 8, 12, 16, 20, 21))
 
 
 def offset_room(offset: float) -> Scene:

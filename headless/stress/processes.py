@@ -20,7 +20,7 @@ from .outcome import Outcome
 
 MOMENTS = 50  # of a render at which it is interrupted
 KILLS = 10  # and killed
-SECONDS = 120  # after which a process counts as hung
+SECONDS = 300  # after which a process counts as hung, on a machine that others use, too
 TOGETHER = 4  # processes on one cache
 OLD = b"what was there before"
 # The interpreter's own start is not ours: the clock runs from when the command line is there to hear.

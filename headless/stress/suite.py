@@ -24,6 +24,7 @@ CASES: tuple[Callable[[str], Iterable[Outcome]], ...] = (
     broken.added,
     broken.meshes,
     broken.walls,
+    broken.cracks,
     broken.places,
     numbers.invalid_numbers,
     numbers.counts,

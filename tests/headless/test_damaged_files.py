@@ -25,6 +25,15 @@ def test_damage_ends_with_a_line(originals, tmp_path, capsys, suffix, seed):
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
 
 
+def test_a_channel_whose_name_is_no_text_is_damage(originals, tmp_path, capsys):
+    file = tmp_path / "picture.exr"
+    content = originals[".exr"].read_bytes()
+    assert b"Indirect.R" in content
+    file.write_bytes(content.replace(b"Indirect.R", b"Ind\x85\xffct.R", 1))
+    assert main(["compare", str(file), str(file)]) == 2
+    assert capsys.readouterr().err.startswith("lumigate: error: ")
+
+
 def test_a_damaged_blend_file_ends_with_a_line(originals, tmp_path):
     # In a process of its own: Blender reads it in C, and a crash there would be the end of the tests.
     file = tmp_path / "scene.blend"
