@@ -11,6 +11,7 @@ from ..bench_steps import Step
 from . import broken, numbers, processes, scales
 from .files import damaged_files
 from .fuzz import SCENES, random_scenes
+from .instances import instances
 from .offsets import offsets
 from .outcome import Outcome
 
@@ -37,6 +38,7 @@ CASES: tuple[Callable[[str], Iterable[Outcome]], ...] = (
 # Generators of lines about no method or all of them.
 TOGETHER: tuple[Callable[[], Iterable[Outcome]], ...] = (
     offsets,
+    instances,
     damaged_files,
     processes.signals,
     processes.compilers,

@@ -58,7 +58,7 @@ def test_a_generator_that_raises_is_a_line_that_fails():
 
 def test_every_step_has_a_name_of_its_own_and_rows_that_say_what_must_hold(tmp_path):
     steps = {step.name: step for step in stress_steps(tmp_path, 3)}
-    assert len(steps) == 23 and "3 random scenes" in steps
+    assert len(steps) == 24 and "3 random scenes" in steps
     rows = steps["spikes"].work()
     assert {row["method"] for row in rows} == set(AVAILABLE)
     assert all(row["suite"] == "stress" and row["must"] and row["pass"] is True for row in rows)
