@@ -230,11 +230,13 @@ class RenderSettings:
             return self
         fewer = {
             name: max(1, round(quality * getattr(self, name)))
-            for name in ("pixel_samples", "direct_samples", "samples", "gather", "reflections")
+            for name in ("direct_samples", "samples", "gather", "reflections")
             if getattr(self, name) > 0
         }
+        # Primary samples are cheap, and no denoiser mends an edge that few of them have drawn.
+        pixel_samples = max(1, round(quality**0.25 * self.pixel_samples))
         vpls = max(min(self.vpls, 256), round(quality**0.5 * self.vpls))
-        return replace(self, seed=self.seed + 15485863 * number, vpls=vpls, **fewer)
+        return replace(self, seed=self.seed + 15485863 * number, pixel_samples=pixel_samples, vpls=vpls, **fewer)
 
 
 @dataclass(frozen=True)

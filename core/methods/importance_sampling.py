@@ -61,7 +61,7 @@ CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
 BLOCK = 16  # of them, summed together
 PICKS = 8  # of a subset: more of them go to further subsets
-PATHS = 0.08  # of the cache, for each ray of the points
+PATHS = 0.16  # of the cache a point, times the root of its rays: what they find is noisier than what the cache knows
 MIN_PATHS = 20000
 PATHS_A_POINT = 64  # at most: a view of a few points does not need as many
 BATCHES = 4  # of particles: those whose light gather rays carry need not be many
@@ -341,7 +341,7 @@ class ImportanceSampling:
         self.scene = scene
         if paths is None:
             n = len(points.pixel)
-            paths = max(min(MIN_PATHS, PATHS_A_POINT * n), int(PATHS * n * (self.samples + self.gather)))
+            paths = max(min(MIN_PATHS, PATHS_A_POINT * n), int(PATHS * n * (self.samples + self.gather) ** 0.5))
         probes, rays = trace_probes(scene, points, paths, self.seed ^ 0x51AB5, self.threads, part(progress, 0.0, 0.6))
         self.cache: LightCache = build_light_cache(
             probes, self.bounces + has_lobes(points), self.seed, self.threads, part(progress, 0.6, 1.0)
