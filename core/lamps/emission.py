@@ -12,7 +12,7 @@ import numpy as np
 
 from ..jit import inlined, leaf
 from ..rays.offsets import hit_point, offset_origin
-from ..sampling.discrete import sample_cdf
+from ..sampling.discrete import cumulative, sample_cdf
 from ..sampling.maps import concentric_disk, cosine_hemisphere, to_world, uniform_cone, uniform_sphere, uniform_triangle
 from ..scene import AREA, SPOT, SUN
 from ..surfaces.layout import EMISSION
@@ -36,14 +36,20 @@ from .tables import (
     TEXTURED,
     TRIANGLE,
     WORLD,
+    Emitters,
 )  # fmt: skip
 from .world import emit_world
 
+OUTLIERS = 0.02, 0.1  # shares of the places beyond either end of a focus along each axis
+MARGIN = 0.05  # of a focus's size, on all sides
+FAR = 0.05  # of its flux, at least, counts what an emitter sends elsewhere
+WORTHWHILE = 0.5  # of the whole box's surface: larger focuses gain nothing
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _2 = np.float32(2.0)
 _HALF = np.float32(0.5)
 _PI = np.float32(math.pi)
+_FAR = np.float32(3e38)
 _2PI = np.float32(2 * math.pi)
 
 
@@ -112,6 +118,53 @@ def _box_entry(box, dx, dy, dz, u1, u2):
     u -= ay
     z = box[0, 2] if dz > _0 else box[1, 2]
     return box[0, 0] + sx * min(u / max(az, np.float32(1e-30)), _1), box[0, 1] + sy * u2, z, area
+
+
+@leaf
+def _shadow(box, dx, dy, dz):
+    """Area of a box's shadow along d."""
+    sx, sy, sz = box[1, 0] - box[0, 0], box[1, 1] - box[0, 1], box[1, 2] - box[0, 2]
+    return max(abs(dx) * sy * sz + abs(dy) * sz * sx + abs(dz) * sx * sy, np.float32(1e-30))
+
+
+@leaf
+def _slabs(box, x, y, z, dx, dy, dz):
+    """Distances from a place, along d, at which its line enters and leaves a box: the first is the larger where it misses."""
+    enter, leave = -_FAR, _FAR
+    for low, high, at, d in ((box[0, 0], box[1, 0], x, dx), (box[0, 1], box[1, 1], y, dy), (box[0, 2], box[1, 2], z, dz)):
+        if d == _0:
+            if at < low or at > high:
+                enter = _FAR
+            continue
+        near, far = (low - at) / d, (high - at) / d
+        enter, leave = max(enter, min(near, far)), min(leave, max(near, far))
+    return enter, leave
+
+
+@leaf
+def _focused_entry(box, focus, dx, dy, dz, u1, u2):
+    """Where a ray of direction d enters the box -> (x, y, z, inverse of the density of such rays per area across d).
+
+    Each focus gets as many rays as the box itself; the density is that of them all (balance heuristic, Veach and Guibas 1995).
+    """
+    u = u1 * np.float32(len(focus) + 1)
+    picked = min(np.int64(u), len(focus)) - 1
+    u = min(u - np.float32(picked + 1), np.float32(0.99999994))
+    if picked < 0:
+        x, y, z, area = _box_entry(box, dx, dy, dz, u, u2)
+        density = _1 / max(area, np.float32(1e-30))
+    else:
+        x, y, z, area = _box_entry(focus[picked], dx, dy, dz, u, u2)
+        density = _1 / max(area, np.float32(1e-30)) + _1 / _shadow(box, dx, dy, dz)
+    for k in range(len(focus)):
+        if k != picked:
+            enter, leave = _slabs(focus[k], x, y, z, dx, dy, dz)
+            if enter <= leave:
+                density += _1 / _shadow(focus[k], dx, dy, dz)
+    if picked >= 0:
+        back, _ = _slabs(box, x, y, z, dx, dy, dz)
+        x, y, z = x + back * dx, y + back * dy, z + back * dz
+    return x, y, z, np.float32(len(focus) + 1) / density
 
 
 @leaf
@@ -216,10 +269,40 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
             k = _2PI * narrow if narrow > _0 else _1
             r, g, b = k * emitters.radiance[e, 0], k * emitters.radiance[e, 1], k * emitters.radiance[e, 2]
         dx, dy, dz = -dx, -dy, -dz
-        x, y, z, area = _box_entry(emitters.box, dx, dy, dz, u3, u4)
+        if len(emitters.focus) > 0:
+            x, y, z, area = _focused_entry(emitters.box, emitters.focus, dx, dy, dz, u3, u4)
+        else:
+            x, y, z, area = _box_entry(emitters.box, dx, dy, dz, u3, u4)
         w *= area
     elif kind == AREA:
         x, y, z, dx, dy, dz = _emit_area(emitters.lamps, e, emitters.flags[e] & ELLIPTIC, u1, u2, u3, u4)
     else:
         x, y, z, dx, dy, dz, near = _emit_point(emitters.lamps, e, kind == SPOT, emitters.flags[e] & SOFT, u1, u2, u3, u4)
     return e, x, y, z, dx, dy, dz, r * w, g * w, b * w, near
+
+
+def focused(emitters: Emitters, places: np.ndarray) -> Emitters:
+    """The same emitters, whose sun and world send most of their particles where the places (N, 3) are, with exact weights.
+
+    A room with a window in a wide land would else wait long for one that comes in.
+    """
+    boxes = [np.quantile(places, (part, 1 - part), axis=0) for part in OUTLIERS] if len(places) else []
+    extent = (emitters.box[1] - emitters.box[0]).max()
+    kept = []
+    for box in boxes:
+        margin = np.maximum(MARGIN * (box[1] - box[0]).max(), 1e-6 * extent)
+        box = np.clip(box + [[-margin], [margin]], emitters.box[0], emitters.box[1])
+        if _surface(box) < WORTHWHILE * _surface(emitters.box):
+            kept.append(box)
+    if not kept:
+        return emitters
+    # Of what such an emitter sends into the whole box, about this share comes near the places.
+    near = max(_surface(kept[0]) / _surface(emitters.box), FAR)
+    sent = emitters.flux.mean(axis=1) * np.where(np.isin(emitters.kind, (SUN, WORLD)), near, 1.0)
+    return emitters._replace(focus=np.array(kept, np.float32), emission_cdf=cumulative(sent, np.float64))
+
+
+def _surface(box: np.ndarray) -> float:
+    """Half the surface of a box (2, 3)."""
+    x, y, z = (box[1] - box[0]).astype(np.float64)
+    return x * y + y * z + z * x

@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel, leaf
+from ..lamps import focused
 from ..particles import Vpls, trace_particles
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
@@ -53,7 +54,7 @@ from ..view.points import ShadingPoints
 from ..vpl_pool import Particles, vpl_pool
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
-from .light_cache import NEAR, LightCache, add_known, build_light_cache, find_cell, look_up
+from .light_cache import DEPTH, NEAR, LightCache, add_known, build_light_cache, find_cell, look_up
 from .probes import trace_probes
 from .tails import path_light
 
@@ -343,6 +344,8 @@ class ImportanceSampling:
             n = len(points.pixel)
             paths = max(min(MIN_PATHS, PATHS_A_POINT * n), int(PATHS * n * (self.samples + self.gather) ** 0.5))
         probes, rays = trace_probes(scene, points, paths, self.seed ^ 0x51AB5, self.threads, part(progress, 0.0, 0.6))
+        # Where the view's light comes from last: there the particles are wanted.
+        self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
         self.cache: LightCache = build_light_cache(
             probes, self.bounces + has_lobes(points), self.seed, self.threads, part(progress, 0.6, 1.0)
         )
@@ -366,7 +369,12 @@ class ImportanceSampling:
         *,
         particles: Particles = trace_particles,
     ) -> tuple[Vpls, dict]:
-        """Trace about `count` VPLs for what is left to them: the VPLs and the counts of `vpl_pool`, whose `particles` these are."""
+        """Trace about `count` VPLs for what is left to them: the VPLs and the counts of `vpl_pool`, whose `particles` these are.
+
+        `particles` that serve other views, too, are not drawn to this one.
+        """
+        if particles is trace_particles:
+            scene = scene._replace(emitters=focused(scene.emitters, self.lit_from))
         vpls, counts = vpl_pool(
             scene,
             points,

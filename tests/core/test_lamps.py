@@ -10,7 +10,7 @@ from lumigate.core import scene as sc
 from lumigate.core.jit import kernel
 from lumigate.core.lamps import build_emitters, direct_irradiance
 from lumigate.core.lamps.direct import direct_irradiance_at
-from lumigate.core.lamps.emission import emit
+from lumigate.core.lamps.emission import emit, focused
 from lumigate.core.lamps.sample import sample_emitter
 from lumigate.core.rays import RayScene, new_packet
 from lumigate.core.sampling.sequences import sobol
@@ -628,6 +628,42 @@ def test_particles_carry_the_light_that_direct_light_finds(name):
     assert np.abs(hits - share * 2**20).max() <= 1
     assert abs(found.sum() / expected.sum() - 1) < 5e-3
     assert np.abs(found - expected).max() < 0.015 * expected.max()
+
+
+@pytest.mark.parametrize("name", ["sun", "sharp sun", "constant world", "world", "all"])
+def test_particles_drawn_to_a_place_carry_the_same_light(name):
+    rows, options = SENDERS[name]
+    land = [(-60, -60, -0.5), (60, -60, -0.5), (60, 60, -0.5), (-60, 60, -0.5)]
+    light = lit(*rows, **{**options, "quad": (RECEIVER, land), "material": [0, 0]})
+    places = np.random.default_rng(3).uniform((-1, -1, 0), (1, 1, 1.5), (500, 3))
+    near = focused(light.emitters, places)
+    assert len(near.focus) == 2
+    expected = cell_irradiance(light)
+    found, power, hits = emitted(near, 2**20)
+    assert np.allclose(power, light.emitters.flux.sum(0), rtol=0.02)
+    assert abs(found[1:3, 1:3].sum() / expected[1:3, 1:3].sum() - 1) < 0.01
+    assert abs(found.sum() / expected.sum() - 1) < 0.03  # most of the outer cells lie beyond both places
+    few = [[emitted(e, 2**12, seed=seed)[0][1:3, 1:3].sum() for seed in range(8)] for e in (near, light.emitters)]
+    assert np.std(few[0]) < 0.3 * np.std(few[1])
+
+
+def test_a_sun_over_a_wide_land_leaves_particles_to_a_lamp():
+    land = [(-60, -60, -0.5), (60, -60, -0.5), (60, 60, -0.5), (-60, 60, -0.5)]
+    light = lit(lamp(sc.SUN, 1, angle=0.2), lamp(sc.POINT, 1), quad=(RECEIVER, land), material=[0, 0])
+    near = focused(light.emitters, np.random.default_rng(3).uniform(-1, 1, (500, 3)))
+    expected = cell_irradiance(light)
+    found, power, hits = emitted(near, 2**18)
+    assert hits[1] > 10 * emitted(light.emitters, 2**18)[2][1]
+    assert np.allclose(power, light.emitters.flux.sum(0), rtol=0.03)
+    assert abs(found[1:3, 1:3].sum() / expected[1:3, 1:3].sum() - 1) < 0.01
+
+
+def test_no_place_to_draw_particles_to():
+    light = lit(lamp(sc.SUN, 1), world=0.1)
+    everywhere = np.random.default_rng(3).uniform(*light.emitters.box, (500, 3))
+    for places in (np.zeros((0, 3)), everywhere):
+        assert len(focused(light.emitters, places).focus) == 0
+    assert len(focused(light.emitters, np.zeros((5, 3))).focus) == 2  # a single place has a box about it, too
 
 
 def test_total_flux():
