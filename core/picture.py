@@ -56,6 +56,7 @@ class Picture:
 
     direct, diffuse_indirect, glossy_indirect, emission: radiance (W/m^2/sr).  guide_albedo, guide_normal: tell a denoiser
     where edges are.  weight: how many samples it stands for, on any scale.  triangle: (H, W) int32, of `position`, where it is asked for.
+    smooth: the diffuse indirect light comes from a method without noise, and is left as it is by `denoised`.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
     """
 
@@ -71,6 +72,7 @@ class Picture:
     depth: np.ndarray
     weight: float = 1.0
     triangle: np.ndarray | None = None
+    smooth: bool = False
     groups: dict[str, GroupLight] = field(default_factory=dict)
 
     @staticmethod
@@ -132,7 +134,7 @@ class Picture:
             return denoiser.denoise(image, self.guide_albedo, self.guide_normal, position=self.position, threads=threads, **options)
 
         found = {}
-        if self.diffuse_indirect.any():
+        if self.diffuse_indirect.any() and not self.smooth:
             diffuse = np.where(self.albedo > 0, cleaned(self.irradiance), np.float32(0)) * self.albedo * np.float32(1 / np.pi)
             # What counts is the mean of the picture, not of the irradiance.
             found["diffuse_indirect"] = mean_factor(self.diffuse_indirect, diffuse) * diffuse

@@ -72,7 +72,7 @@ def render(
     scene = sound(scene) if sequence is None else scene
     denoiser = None
     if settings.denoise:
-        denoiser = Denoiser() if sequence is None else sequence.denoiser
+        denoiser = Denoiser(quality="fast" if settings.smooth else "high") if sequence is None else sequence.denoiser
     try:
         result = _render(scene, settings, denoiser, progress, extraction_seconds, begin, topologies, sequence)
     finally:  # a cancelled render must not leave the library's threads behind
@@ -274,4 +274,4 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
                 run.debug |= run.clusters.debug_layers(points, seen.shape)
     LOADED.add(settings.method)
     picture = Picture.compose(seen, direct, indirect, highlights + mirrored.direct, mirrored.indirect, mirrored.albedo, weight, run.groups)
-    return replace(picture, triangle=nearest_triangles(seen)) if run.sequence else picture
+    return replace(picture, smooth=settings.smooth, triangle=nearest_triangles(seen) if run.sequence else None)

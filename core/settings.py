@@ -214,11 +214,16 @@ class RenderSettings:
             goal, preset = QUALITY_ERRORS[self.quality], QUALITIES[self.quality]
             if all(getattr(self, name) == number for name, number in preset.items()):
                 numbers = QUALITIES["medium"]  # passes are planned in units of the usual numbers
-        sampled = method == "importance-sampling"
+        sampled = method in ("importance-sampling", "fuzzy-clustering")
         denoise = sampled if self.denoise is None else self.denoise
         choice = {"direct_samples": (4, 16), "reflections": (2, 8)}
         open_ = {name: few if sampled else many for name, (few, many) in choice.items() if getattr(self, name) is None}
         return replace(self, method=method, denoise=denoise, target_error=goal, **numbers, **open_)
+
+    @property
+    def smooth(self) -> bool:
+        """Whether the method's diffuse indirect light has no noise: a denoiser then has direct light and reflections to clean."""
+        return self.method == "fuzzy-clustering"
 
     def wants(self, *names: str) -> bool:
         """Whether any of these layers is asked for."""

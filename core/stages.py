@@ -33,13 +33,15 @@ from .threads import Cancelled
 from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, reachable_vpls, rooms_seen, without_emitters
 from .transport import Transport, transport
 from .view.points import ShadingPoints
-from .vpl_pool import vpl_pool, vpl_sequence
+from .vpl_pool import MOST_BATCHES, vpl_pool, vpl_sequence
 
 # progress(stage, fraction) -> True to go on, False to cancel.
 StageProgress = Callable[[str, float], bool]
 
 AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "virtual-area-lights", "visibility-gates", "importance-sampling")
 TURN = 32452843  # between the seeds of a sequence's turns
+FEW_BATCHES = 4  # of particles, for lights that are clustered: more of them cost time and leave the picture as it is
+CLUSTER_GATHER = 4  # gather rays of a cluster, for each that a point would get: its many points share what they find
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
 
 
@@ -236,8 +238,11 @@ def indirect_stage(
             vpls, rays = trace_particles(tables, settings.vpls, settings.bounces, settings.seed, threads, tick)
             counts = {"light": rays, "shadow": 0, "traced": len(vpls.bounce), "useless": 0}
         else:
+            batches = FEW_BATCHES if settings.smooth else MOST_BATCHES
             wanted = run.topology and partial(reachable_vpls, run.topology, rooms_seen(run.topology, points))
-            vpls, counts = vpl_pool(tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick, share=wanted)
+            vpls, counts = vpl_pool(
+                tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick, share=wanted, batches=batches
+            )
         run.rays["light"] += counts["light"]
         run.rays["shadow"] += counts["shadow"]
         if counts["useless"]:
@@ -270,7 +275,7 @@ def _solver(run: Run, settings: RenderSettings, width: int | None, threads: int)
             fuzziness=settings.fuzziness,
             weighting=settings.weighting,
             shade_with=settings.shade_with,
-            compensation=compensation,
+            compensation=CLUSTER_GATHER * compensation,
             **common,
         )
         return run.clusters

@@ -16,7 +16,7 @@ from .sources import find_scene, open_source
 
 SIZE = (480, 270)
 SCENES = (("atrium", "atrium"), ("living room", "living-room-greywhite/scene.blend"), ("Cornell box", "cornell"))
-PREVIEW = RenderSettings(method="fuzzy-clustering", vpls=4096, vpl_clusters=1000, pixel_samples=4, direct_samples=4, reflections=2)
+PREVIEW = RenderSettings(method="fuzzy-clustering", vpls=4096, vpl_clusters=1000, pixel_samples=4, direct_samples=4, reflections=1)
 PEER_SAMPLES, REFERENCE_SAMPLES = 4, 256
 REPEATS = 3
 

@@ -63,7 +63,7 @@ def scene_rows(folder: Path, name: str, source: str, size, samples: int, setting
         rows.append(_row(f"{name}: bias of {layer}", metrics.bias(ours.layers[layer], truth.mean[layer]), "1"))
         rows.append(_row(f"{name}: standard error of the reference's mean {layer}", uncertainty(truth, layer), "1"))
         rows.append(_row(f"{name}: net relMSE of {layer}", truth.errors(ours.layers, layer)["relmse"], "1"))
-    rows.append(_row(f"{name}: displacement", float(np.hypot(*displacement(ours.layers["Albedo"], truth.mean["Albedo"]))), "pixels"))
+    rows.append(_row(f"{name}: displacement", float(np.hypot(*displacement(ours.layers["Direct"], truth.mean["Direct"]))), "pixels"))
     folder.mkdir(parents=True, exist_ok=True)
     write_png(folder / f"radiosity-{Path(name).name}.png", picture(ours.layers, truth))
     return rows

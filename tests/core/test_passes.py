@@ -1,5 +1,7 @@
 """How well the passes' own estimate of their error holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -75,3 +77,13 @@ def test_only_what_the_wanted_layers_need_is_computed(sphere):
     assert not {"direct", "glossy"} & set(result.stats["seconds"])
     direct = render(sphere, RenderSettings(vpls=64, layers=("Direct",)))
     assert "indirect" not in direct.stats["seconds"]
+
+
+def test_smooth_light_is_left_to_its_method():
+    clouded = replace(picture(noisy(0.3, 1)), direct=noisy(0.3, 2), glossy_indirect=noisy(0.3, 3))
+    clean, rough = replace(clouded, smooth=True).denoised(Tilted(), 1), clouded.denoised(Tilted(), 1)
+    assert np.array_equal(clean.diffuse_indirect, clouded.diffuse_indirect)
+    assert not np.array_equal(rough.diffuse_indirect, clouded.diffuse_indirect)
+    for name in ("direct", "glossy_indirect"):
+        assert np.array_equal(getattr(clean, name), getattr(rough, name))
+        assert not np.array_equal(getattr(clean, name), getattr(clouded, name))
