@@ -23,7 +23,7 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     """Render one frame, or each of `--frames` into a file of its own."""
     scene = open_source(arguments.scene)
     view = View(arguments.camera, arguments.size, arguments.frame, arguments.border)
-    if arguments.film:
+    if arguments.scene_film:
         arguments.settings = replace(arguments.settings, film=extract_film(scene))
     if arguments.frames is None:
         _save(render_frame(scene, view, arguments.settings, terminal), arguments.output, arguments.stats, terminal)
