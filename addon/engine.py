@@ -69,13 +69,14 @@ class LumigateEngine(bpy.types.RenderEngine):
     def _begin(self, depsgraph: bpy.types.Depsgraph) -> Job:
         """Read Blender's data here, where it may be read, and start the rest."""
         from .extract import extract_scene
+        from .extract.film import extract_film
 
         self.update_stats("", "Lumigate: reading the scene")
         begin = time.perf_counter()
         camera = self.camera_override
         arrays = extract_scene(depsgraph.scene, camera=camera and camera.name, depsgraph=depsgraph)
         wanted = (COMBINED, *depsgraph.view_layer.lumigate.wanted())
-        settings = replace(depsgraph.scene_eval.lumigate.as_settings(), layers=wanted)
+        settings = replace(depsgraph.scene_eval.lumigate.as_settings(), layers=wanted, film=extract_film(depsgraph.scene))
         return render_job(arrays, settings, extraction_seconds=time.perf_counter() - begin)
 
     def _watch(self, job: Job) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -168,11 +169,13 @@ class AddIndirectLight(NeedsCamera, JobOperator, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Job:
         """Read the scene and start the render, which ends with the layers in a file."""
+        from .extract.film import extract_film
+
         arrays, seconds = _extracted(context)
         folder = Path(bpy.app.tempdir)
         return render_job(
             arrays,
-            context.scene.lumigate.as_settings(),
+            replace(context.scene.lumigate.as_settings(), film=extract_film(context.scene)),
             extraction_seconds=seconds,
             afterwards=lambda result: (write_layers(folder, result.layers), result.stats),
         )

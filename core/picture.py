@@ -57,6 +57,7 @@ class Picture:
     direct, diffuse_indirect, glossy_indirect, emission: radiance (W/m^2/sr).  guide_albedo, guide_normal: tell a denoiser
     where edges are.  weight: how many samples it stands for, on any scale.  triangle: (H, W) int32, of `position`, where it is asked for.
     smooth: the diffuse indirect light comes from a method without noise, and is left as it is by `denoised`.
+    alpha: (H, W) float32, the part of each pixel that is not the world, None where the film is opaque.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
     """
 
@@ -73,6 +74,7 @@ class Picture:
     weight: float = 1.0
     triangle: np.ndarray | None = None
     smooth: bool = False
+    alpha: np.ndarray | None = None
     groups: dict[str, GroupLight] = field(default_factory=dict)
 
     @staticmethod
@@ -111,6 +113,8 @@ class Picture:
             name: GroupLight(*(a * mine + b * its for mine, its in zip(light, other.groups[name]))) for name, light in self.groups.items()
         }
         means = {name: a * getattr(self, name) + b * getattr(other, name) for name in _MEANS}
+        if self.alpha is not None:
+            means["alpha"] = a * self.alpha + b * other.alpha
         return replace(self, weight=whole, groups=groups, **means)
 
     @property
@@ -169,9 +173,10 @@ class Picture:
     def layers(self, scene: Scene) -> Layers:
         """The layers of the contract (design.md, section 3)."""
         camera = scene.camera
+        combined = self.direct + self.indirect + self.emission
         return Layers(
             {
-                "Combined": self.direct + self.indirect + self.emission,
+                "Combined": combined if self.alpha is None else np.dstack([combined, self.alpha]),
                 "Direct": self.direct,
                 "Indirect": self.indirect,
                 "DiffuseIndirect": self.diffuse_indirect,

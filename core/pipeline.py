@@ -7,6 +7,8 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from .denoise import Denoiser
 from .lamps import LightGroups, world_tables
 from .layers import Layers
@@ -246,7 +248,17 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
     with run.stage("view") as tick:
 
         def look() -> View:
-            return view(scene, tables.rays, world_tables(scene.world), settings.pixel_samples, settings.seed, threads, tick, run.groups)
+            return view(
+                scene,
+                tables.rays,
+                world_tables(scene.world),
+                settings.pixel_samples,
+                settings.seed,
+                threads,
+                tick,
+                run.groups,
+                settings.film,
+            )
 
         seen = run.sequence.view(scene, settings, look) if run.sequence else look()
         run.rays["primary"] += seen.rays
@@ -274,4 +286,5 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
                 run.debug |= run.clusters.debug_layers(points, seen.shape)
     LOADED.add(settings.method)
     picture = Picture.compose(seen, direct, indirect, highlights + mirrored.direct, mirrored.indirect, mirrored.albedo, weight, run.groups)
-    return replace(picture, smooth=settings.smooth, triangle=nearest_triangles(seen) if run.sequence else None)
+    alpha = np.float32(1) - seen.clear if settings.film.transparent else None
+    return replace(picture, smooth=settings.smooth, alpha=alpha, triangle=nearest_triangles(seen) if run.sequence else None)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import Field, dataclass, field, fields, replace
 from typing import Any
 
+from .film import SQUARE, Film
+
 METHODS = (
     "auto",
     "instant-radiosity",
@@ -89,6 +91,7 @@ class RenderSettings:
     direct_samples, reflections, denoise: None lets the method choose (see `with_defaults`).  time_budget: seconds;
     target_error: relMSE.  quality: a key of `QUALITY_ERRORS`, which `auto` takes for its target error where neither is given.
     layers: names of the layers wanted (None: all of the contract); those of light groups come with the layer that they are of.
+    film: the pixel filter, and whether the world is transparent to the camera.
     skipping: False samples every lamp at every point and keeps every VPL, whatever the view needs: `bench skipping` compares.
     """
 
@@ -204,6 +207,7 @@ class RenderSettings:
         method="importance-sampling",
     )
 
+    film: Film = SQUARE
     extra: dict = field(default_factory=dict)
 
     def with_defaults(self) -> RenderSettings:

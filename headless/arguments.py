@@ -229,6 +229,12 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     _add_output(render, "OUT.exr")
     _add_view(render)
     _add_render_settings(render)
+    render.add_argument(
+        "--film",
+        dest="scene_film",
+        action="store_true",
+        help="with the scene's pixel filter and transparency, instead of a box of one pixel",
+    )
     add_sequence(render, output_file)
     render.add_argument("--stats", type=output_file(".json"), metavar="FILE.json", help="write times, ray counts and warnings")
     render.add_argument("--border", type=border, metavar="X0,Y0,X1,Y1", help="this part of the picture only, in pixels from the top left")

@@ -291,7 +291,7 @@ def focused(emitters: Emitters, places: np.ndarray) -> Emitters:
     kept = []
     for box in boxes:
         margin = np.maximum(MARGIN * (box[1] - box[0]).max(), 1e-6 * extent)
-        box = np.clip(box + [[-margin], [margin]], emitters.box[0], emitters.box[1])
+        box = np.clip(box + margin * np.array([[-1.0], [1.0]]), emitters.box[0], emitters.box[1])
         if _surface(box) < WORTHWHILE * _surface(emitters.box):
             kept.append(box)
     if not kept:

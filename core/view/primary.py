@@ -10,11 +10,13 @@ glass nothing is left to chance: a sample shows both what they reflect and what 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from ..film import SQUARE, Film
 from ..jit import inlined, kernel, leaf
 from ..lamps.groups import LightGroups
 from ..lamps.tables import SEEN_BY_CAMERA, SEEN_THROUGH_GLASS
@@ -55,7 +57,7 @@ SAME_NORMAL = np.float32(0.9)
 SAME_PLANE = np.float32(0.5)
 SAME_REACH = np.float32(3.0)
 # Columns of the pixels' layers; what is emitted by each light group, behind no glass, one surface of it, and more, comes last.
-ALBEDO, NORMALS, POSITION, DEPTH, EMITTED = 0, 3, 6, 9, 10
+ALBEDO, NORMALS, POSITION, DEPTH, CLEAR, EMITTED = 0, 3, 6, 9, 10, 11
 GLASS = 3  # kinds of what is emitted: behind no glass, one surface of it, and more
 # Bits of the way that a sample takes at a surface: it shows it, passes straight through, passes through glass.
 SHOWN, STRAIGHT, REFRACTED = 1, 2, 4
@@ -68,6 +70,7 @@ class View:
     """What the camera sees of a scene, before any light but that of surfaces, lamps and world themselves.
 
     albedo, normal, position: (H, W, 3);  depth: (H, W); all float32.  Where there is glass they are the pane's.
+    clear: (H, W) float32, the part of each pixel in which the camera sees the world, behind no glass.
     emitted: (G, 3, H, W, 3) float32, light of each light group that is emitted behind no glass, one surface of it, and more.
     points: the shading points, whose `pixel` counts row-major over H x W.  rays: primary rays traced.
     """
@@ -76,6 +79,7 @@ class View:
     normal: np.ndarray
     position: np.ndarray
     depth: np.ndarray
+    clear: np.ndarray
     emitted: np.ndarray
     points: ShadingPoints
     rays: int
@@ -178,8 +182,16 @@ def _way_on(surface, x, split):
     return SHOWN, _0, _0, _0, total / kept if kept > _0 else _1
 
 
+@inlined
+def _filtered(film, u):
+    """Where in the pixel a sample lies, by a uniform u in [0, 1) and the offsets of `Film`."""
+    x = u * np.float32(len(film) - 1)
+    at = min(np.int64(x), len(film) - 2)
+    return np.float32(0.5) + film[at] + (x - np.float32(at)) * (film[at + 1] - film[at])
+
+
 @kernel
-def _trace_tile(rays, camera, materials, geometry, lamps, tx, ty, samples, seed, packet, rows, surface, seen):
+def _trace_tile(rays, camera, film, materials, geometry, lamps, tx, ty, samples, seed, packet, rows, surface, seen):
     """Trace the samples of the tile whose first pixel is (tx, ty) into `seen`; the number of rays."""
     vertices, triangle_vertices, corner_normals, attributes, material, _, _ = geometry
     hits, weight, direction, depth, glass = seen.hits, seen.weight, seen.direction, seen.depth, seen.glass
@@ -187,7 +199,8 @@ def _trace_tile(rays, camera, materials, geometry, lamps, tx, ty, samples, seed,
     origin = np.empty((WIDTH, 3), np.float32)
     passed = np.empty(WIDTH, np.float32)
     near_lamps = np.empty(len(lamps.kind), np.int32)
-    n_lamps = lamps_in_tile(lamps, camera, tx, ty, tx + TILE, ty + TILE, near_lamps)
+    reach = 0 if len(film) == 0 else max(0, np.int64(math.ceil(film[len(film) - 1] - np.float32(0.5))))  # pixels beyond its square
+    n_lamps = lamps_in_tile(lamps, camera, tx - reach, ty - reach, tx + TILE + reach, ty + TILE + reach, near_lamps)
     seen.lamps[:] = np.float32(0.0)
     seen.count[:] = samples
     count = 0
@@ -202,6 +215,8 @@ def _trace_tile(rays, camera, materials, geometry, lamps, tx, ty, samples, seed,
             # Numbered by the full frame: a border shows the very pixels of the whole picture.
             number = py * camera.size[0] + px
             jx, jy = pixel_sample(s, seed, number)
+            if len(film) > 0:
+                jx, jy = _filtered(film, jx), _filtered(film, jy)
             ox, oy, oz, dx, dy, dz, slant = camera_ray(camera, np.float32(px) + jx, np.float32(py) + jy)
             set_ray(packet, lane, ox, oy, oz, dx, dy, dz, np.float32(0.0), (camera.clip[1] - camera.clip[0]) * slant, CAMERA)
             origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
@@ -274,10 +289,11 @@ def _trace_tile(rays, camera, materials, geometry, lamps, tx, ty, samples, seed,
 
 @kernel
 def _view_tiles(
-    rays, camera, materials, geometry, lamps, world, world_visibility, world_group, begin, end, samples, seed, points, layers
+    rays, camera, film, materials, geometry, lamps, world, world_visibility, world_group, begin, end, samples, seed, points, layers
 ):  # fmt: skip
     """Trace, evaluate and group the samples of the tiles begin..end-1.
 
+    film: (K,) float32 as `Film.offsets` has them.
     geometry: (vertices, triangles, corner_normals, attributes, material, object, light group of each object).
     world_group: light group of the world.  points: room for all that can come.  layers: (H * W, EMITTED + 9 G) float32.
     Returns the number of points and of rays.
@@ -306,7 +322,7 @@ def _view_tiles(
     for tile in range(begin, end):
         tx = x0 + (tile % tiles_x) * TILE
         ty = y0 + (tile // tiles_x) * TILE
-        n_rays += _trace_tile(rays, camera, materials, geometry, lamps, tx, ty, samples, seed, packet, rows, surface, seen)
+        n_rays += _trace_tile(rays, camera, film, materials, geometry, lamps, tx, ty, samples, seed, packet, rows, surface, seen)
         for lane in range(WIDTH):
             px, py = tx + lane % TILE, ty + lane // TILE
             if px >= x1 or py >= y1:
@@ -328,6 +344,8 @@ def _view_tiles(
                 group_of[s] = -1
                 if triangle < 0:
                     emitted = before + 3 * GLASS * world_group
+                    if not behind_glass:
+                        out[CLEAR] += (wr + wg + wb) * np.float32(1 / 3)
                     if world_visibility & (TRANSMISSION if behind_glass else CAMERA):
                         er, eg, eb = world_radiance(world, dx, dy, dz)
                         out[emitted] += wr * er
@@ -431,11 +449,11 @@ def _view_tiles(
 
 def view(
     scene: Scene, rays, world, samples: int, seed: int, threads: int = 0, progress: Progress | None = None,
-    groups: LightGroups | None = None,
+    groups: LightGroups | None = None, film: Film = SQUARE,
 ) -> View:  # fmt: skip
     """Trace `samples` primary rays a pixel of the camera's border; `rays` and `world` are the tables of those rooms.
 
-    groups: the light groups to tell apart, None for none.
+    groups: the light groups to tell apart, None for none.  film: how the samples lie in a pixel, and whether they see the world.
     """
     groups = LightGroups.one(scene) if groups is None else groups
     camera = camera_tables(scene.camera)
@@ -447,11 +465,13 @@ def view(
     g = scene.geometry
     geometry = (g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object, groups.objects)
     lamps = visible_lamps(scene, groups)
+    offsets = film.offsets()
+    seen_by = scene.world.visibility & ~CAMERA if film.transparent else scene.world.visibility
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * WIDTH * (1 + PANES) * samples)
         n, n_rays = _view_tiles(
-            rays, camera, scene.materials.tables, geometry, lamps, world, scene.world.visibility, groups.world,
+            rays, camera, offsets, scene.materials.tables, geometry, lamps, world, seen_by, groups.world,
             begin, end, samples, np.uint32(seed), room, layers,
         )  # fmt: skip
         return room.first(n), n_rays
@@ -461,7 +481,7 @@ def view(
     emitted = shaped[..., EMITTED:].reshape(height, width, len(groups.names), GLASS, 3)
     return View(
         *(np.ascontiguousarray(shaped[..., at : at + 3]) for at in (ALBEDO, NORMALS, POSITION)),
-        np.ascontiguousarray(shaped[..., DEPTH]),
+        *(np.ascontiguousarray(shaped[..., at]) for at in (DEPTH, CLEAR)),
         np.ascontiguousarray(emitted.transpose(2, 3, 0, 1, 4)),
         ShadingPoints.concatenate([part for part, _ in parts]),
         sum(n for _, n in parts),

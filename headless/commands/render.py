@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
 
+from ...addon.extract.film import extract_film
 from ...core.layers import write_exr
 from ..console import Terminal
 from ..contact_sheet import write_contact_sheet
@@ -21,6 +23,8 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     """Render one frame, or each of `--frames` into a file of its own."""
     scene = open_source(arguments.scene)
     view = View(arguments.camera, arguments.size, arguments.frame, arguments.border)
+    if arguments.scene_film:
+        arguments.settings = replace(arguments.settings, film=extract_film(scene))
     if arguments.frames is None:
         _save(render_frame(scene, view, arguments.settings, terminal), arguments.output, arguments.stats, terminal)
     else:

@@ -9,8 +9,12 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+import lumigate
+from lumigate import sample_scenes
+from lumigate.addon.engine import LumigateEngine
 from lumigate.addon.materials import MaterialUse, compile_materials
 from lumigate.addon.materials import requests as rq
+from lumigate.core.layers import read_exr
 from lumigate.core.surfaces import layout
 from lumigate.core.surfaces.batch import evaluate_batch
 
@@ -258,3 +262,34 @@ def grid():
 def node():
     """`new_node`, for tests that build their own trees."""
     return new_node
+
+
+@pytest.fixture
+def cornell():
+    """A Cornell box of 48x32 pixels and few samples that Lumigate renders, into a multilayer file; the add-on is registered meanwhile."""
+    lumigate.register()
+    scene = sample_scenes.build("cornell", detail="low")
+    settings = scene.render
+    settings.engine = LumigateEngine.bl_idname
+    settings.resolution_x, settings.resolution_y, settings.resolution_percentage = 48, 32, 100
+    image = settings.image_settings
+    if hasattr(image, "media_type"):
+        image.media_type = "MULTI_LAYER_IMAGE"
+    image.file_format, image.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    numbers = scene.lumigate
+    numbers.vpls, numbers.pixel_samples, numbers.samples, numbers.gather = 256, 2, 2, 2
+    yield scene
+    lumigate.unregister()
+
+
+@pytest.fixture
+def rendered(tmp_path):
+    """Renders by Blender's own button: (view layer) to its passes."""
+
+    def passes(view_layer: str | None = None):
+        assert bpy.ops.render.render() == {"FINISHED"}
+        path = tmp_path / "passes.exr"
+        bpy.data.images["Render Result"].save_render(str(path))
+        return read_exr(path, view_layer)
+
+    return passes

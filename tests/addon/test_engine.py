@@ -1,14 +1,14 @@
 """F12: the passes that Blender gets are the pipeline's layers, for borders, view layers and animations, too."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
 
-import lumigate
-from lumigate import sample_scenes
 from lumigate.addon import engine
-from lumigate.addon.engine import LumigateEngine
 from lumigate.addon.extract import extract_scene
+from lumigate.addon.extract.film import extract_film
 from lumigate.addon.job import Job
 from lumigate.core.layers import CONTRACT, read_exr
 from lumigate.core.pipeline import render
@@ -17,33 +17,12 @@ SIZE = 48, 32
 
 
 @pytest.fixture
-def scene():
-    lumigate.register()
-    scene = sample_scenes.build("cornell", detail="low")
-    settings = scene.render
-    settings.engine = LumigateEngine.bl_idname
-    settings.resolution_x, settings.resolution_y = SIZE
-    settings.resolution_percentage = 100
-    image = settings.image_settings
-    if hasattr(image, "media_type"):
-        image.media_type = "MULTI_LAYER_IMAGE"
-    image.file_format, image.color_depth = "OPEN_EXR_MULTILAYER", "32"
-    numbers = scene.lumigate
-    numbers.vpls, numbers.pixel_samples, numbers.samples, numbers.gather = 256, 2, 2, 2
-    yield scene
-    lumigate.unregister()
-
-
-def rendered(tmp_path, view_layer=None):
-    """The passes of a render by Blender's own button."""
-    assert bpy.ops.render.render() == {"FINISHED"}
-    path = tmp_path / "passes.exr"
-    bpy.data.images["Render Result"].save_render(str(path))
-    return read_exr(path, view_layer)
+def scene(cornell):
+    return cornell
 
 
 def computed(scene, **view):
-    return render(extract_scene(scene, **view), scene.lumigate.as_settings()).layers
+    return render(extract_scene(scene, **view), replace(scene.lumigate.as_settings(), film=extract_film(scene))).layers
 
 
 def assert_same(passes, layers, part=np.s_[:, :]):
@@ -53,26 +32,37 @@ def assert_same(passes, layers, part=np.s_[:, :]):
     assert layers["Indirect"].any()
 
 
-def test_passes_are_the_pipelines_layers(scene, tmp_path):
+def test_passes_are_the_pipelines_layers(scene, rendered):
     layers = computed(scene)
-    passes = rendered(tmp_path)
+    passes = rendered()
     assert set(passes) == set(CONTRACT)
     assert_same(passes, layers)
     assert (passes["Combined"][..., 3] == 1).all()
 
 
-def test_only_the_passes_of_the_view_layer_are_there(scene, tmp_path):
+def test_a_transparent_film_has_an_alpha_instead_of_the_world(scene, rendered):
+    scene.world = bpy.data.worlds.new("Sky")
+    scene.render.film_transparent = True
+    scene.objects["Camera"].location.y -= 1.0  # the world around the box
+    layers = computed(scene)
+    passes = rendered()
+    np.testing.assert_allclose(passes["Combined"], layers["Combined"], rtol=1e-5, atol=1e-6)
+    alpha = passes["Combined"][..., 3]
+    assert (alpha[0] == 0).all() and not passes["Emission"][0].any() and (alpha == 1).any()
+
+
+def test_only_the_passes_of_the_view_layer_are_there(scene, rendered):
     for name in set(CONTRACT) - {"Combined", "Indirect"}:
         setattr(scene.view_layers[0].lumigate, name, False)
-    assert set(rendered(tmp_path)) == {"Combined", "Indirect"}
+    assert set(rendered()) == {"Combined", "Indirect"}
 
 
-def test_a_border_shows_the_same_pixels(scene, tmp_path):
+def test_a_border_shows_the_same_pixels(scene, rendered):
     border = scene.render
     border.use_border = True
     border.border_min_x, border.border_max_x, border.border_min_y, border.border_max_y = 0.25, 0.75, 0.5, 1.0
     layers = computed(scene)
-    passes = rendered(tmp_path)
+    passes = rendered()
     assert layers.size == (SIZE[0] // 2, SIZE[1] // 2)
     for name in ("Combined", "Indirect", "Normal"):
         inside = passes[name][: SIZE[1] // 2, SIZE[0] // 4 : 3 * SIZE[0] // 4, :3]
@@ -80,7 +70,7 @@ def test_a_border_shows_the_same_pixels(scene, tmp_path):
     assert not passes["Combined"][SIZE[1] // 2 :].any()
 
 
-def test_each_view_layer_has_its_own_passes(scene, tmp_path):
+def test_each_view_layer_has_its_own_passes(scene, rendered, tmp_path):
     other = scene.view_layers.new("Without the tall block")
     block = scene.objects["Tall block"]
     collection = bpy.data.collections.new("Apart")
@@ -90,7 +80,7 @@ def test_each_view_layer_has_its_own_passes(scene, tmp_path):
     collection.objects.link(block)
     other.layer_collection.children["Apart"].exclude = True
     first, second = (computed(scene, view_layer=layer.name) for layer in scene.view_layers)
-    assert_same(rendered(tmp_path, scene.view_layers[0].name), first)
+    assert_same(rendered(scene.view_layers[0].name), first)
     assert_same(read_exr(tmp_path / "passes.exr", other.name), second)
     assert not np.array_equal(first["Depth"], second["Depth"])
 

@@ -1,14 +1,14 @@
 """Light groups in Blender: read from objects and world, given as passes, mixed in the compositor and in the panel."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-import lumigate
-from lumigate import sample_scenes
-from lumigate.addon.engine import LumigateEngine
 from lumigate.addon.extract import extract_scene
+from lumigate.addon.extract.film import extract_film
 from lumigate.addon.image_layers import IMAGE_NAME
 from lumigate.addon.light_mixer import NODE_NAME, controls, mixer
 from lumigate.core.layers import read_exr
@@ -19,21 +19,11 @@ NAMES = ["Key", "Fill", "Remainder"]
 
 
 @pytest.fixture
-def scene():
+def scene(cornell):
     """Cornell's box with its lamp in Key, a small one in Fill, and a third in no group."""
-    lumigate.register()
-    scene = sample_scenes.build("cornell", detail="low")
-    settings = scene.render
-    settings.engine = LumigateEngine.bl_idname
-    settings.resolution_x, settings.resolution_y = SIZE
-    settings.resolution_percentage = 100
-    settings.dither_intensity = 0
-    image = settings.image_settings
-    if hasattr(image, "media_type"):
-        image.media_type = "MULTI_LAYER_IMAGE"
-    image.file_format, image.color_depth = "OPEN_EXR_MULTILAYER", "32"
-    numbers = scene.lumigate
-    numbers.vpls, numbers.pixel_samples, numbers.samples, numbers.gather = 256, 2, 2, 2
+    scene = cornell
+    scene.render.resolution_x, scene.render.resolution_y = SIZE
+    scene.render.dither_intensity = 0
     for name, x, color in (("Blue", 0.1, (0.1, 0.2, 1.0)), ("Red", 0.45, (1.0, 0.2, 0.1))):
         light = bpy.data.lights.new(name, "POINT")
         light.energy, light.color = 0.5, color
@@ -43,16 +33,7 @@ def scene():
     for name in NAMES[:2]:
         scene.view_layers[0].lightgroups.add(name=name)
     scene.objects["Lamp"].lightgroup, scene.objects["Blue"].lightgroup = NAMES[:2]
-    yield scene
-    lumigate.unregister()
-
-
-def rendered(tmp_path):
-    """The passes of a render by Blender's own button."""
-    assert bpy.ops.render.render() == {"FINISHED"}
-    path = tmp_path / "passes.exr"
-    bpy.data.images["Render Result"].save_render(str(path))
-    return read_exr(path)
+    return scene
 
 
 def test_groups_are_read_from_lamps_meshes_instances_and_world(scene):
@@ -73,9 +54,9 @@ def test_groups_are_read_from_lamps_meshes_instances_and_world(scene):
     assert arrays.world.group == "Fill"
 
 
-def test_passes_of_the_groups_are_the_pipelines_and_add_up(scene, tmp_path):
-    layers = render(extract_scene(scene), scene.lumigate.as_settings()).layers
-    passes = rendered(tmp_path)
+def test_passes_of_the_groups_are_the_pipelines_and_add_up(scene, rendered):
+    layers = render(extract_scene(scene), replace(scene.lumigate.as_settings(), film=extract_film(scene))).layers
+    passes = rendered()
     for kind in ("Combined", "Direct", "Indirect"):
         for name in NAMES:
             assert passes[f"{kind}_{name}"].any()
@@ -84,14 +65,14 @@ def test_passes_of_the_groups_are_the_pipelines_and_add_up(scene, tmp_path):
         np.testing.assert_allclose(sum(passes[f"{kind}_{name}"] for name in NAMES), whole, rtol=1e-4, atol=1e-5 * whole.max())
 
 
-def test_groups_can_be_switched_off(scene, tmp_path):
+def test_groups_can_be_switched_off(scene, rendered):
     scene.lumigate.light_groups = False
-    assert not [name for name in rendered(tmp_path) if "_" in name]
+    assert not [name for name in rendered() if "_" in name]
     assert not bpy.ops.lumigate.mix_light_groups.poll()
 
 
-def test_the_mixer_dims_and_colours_each_group(scene, tmp_path):
-    passes = rendered(tmp_path)
+def test_the_mixer_dims_and_colours_each_group(scene, rendered, tmp_path):
+    passes = rendered()
     for _ in range(2):  # a second time changes nothing
         assert bpy.ops.lumigate.mix_light_groups() == {"FINISHED"}
     tree = scene.node_tree if hasattr(scene, "node_tree") else scene.compositing_node_group

@@ -639,7 +639,7 @@ def test_particles_drawn_to_a_place_carry_the_same_light(name):
     near = focused(light.emitters, places)
     assert len(near.focus) == 2
     expected = cell_irradiance(light)
-    found, power, hits = emitted(near, 2**20)
+    found, power, _ = emitted(near, 2**20)
     assert np.allclose(power, light.emitters.flux.sum(0), rtol=0.02)
     assert abs(found[1:3, 1:3].sum() / expected[1:3, 1:3].sum() - 1) < 0.01
     assert abs(found.sum() / expected.sum() - 1) < 0.03  # most of the outer cells lie beyond both places

@@ -51,6 +51,15 @@ def test_render_leaves_the_layers_of_the_contract(rendered):
     assert layers["Indirect"].mean() > 0
 
 
+def test_film_is_the_scenes_only_where_asked_for(tmp_path):
+    scene = sample_scenes.build("cornell", detail="low")
+    scene.render.film_transparent = True
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "box.blend"), check_existing=False)
+    for options, channels in (([], 3), (["--film"], 4)):
+        assert main(["render", str(tmp_path / "box.blend"), "-o", str(tmp_path / "out.exr"), *options, *SMALL]) == 0
+        assert read_exr(tmp_path / "out.exr")["Combined"].shape[2] == channels
+
+
 def test_render_leaves_no_other_file(rendered):
     assert names(rendered) == ["out.exr", "stats.json"]
 
