@@ -132,12 +132,10 @@ def light_points(
     threads: int,
     *,
     direct: bool = True,
-    paths: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Direct (zero unless wanted) and indirect irradiance, (N, 3) W/m^2 each, at points that need not belong to any view.
 
     points: N of them, in an order in which neighbours lie close together; without glossy lobes.
-    paths: that fill the cache of light, None for as many as the rays of a view's points need.
     """
     first = tables.emitters.no_light(len(points.pixel))
     if run.topology is not None:
@@ -145,7 +143,7 @@ def light_points(
     if direct:
         with run.stage("direct") as tick:
             first, _ = direct_stage(run, scene, tables, points, settings, threads, tick)
-    sampler = cache_stage(run, tables, points, settings, threads, paths)
+    sampler = cache_stage(run, tables, points, settings, threads)
     indirect, vpls = indirect_stage(run, tables, points, None, settings, threads, sampler)
     run.vpls += len(vpls.bounce)
     return first, indirect
@@ -177,9 +175,7 @@ def direct_stage(
     return by_maps + by_rays, highlights
 
 
-def cache_stage(
-    run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, paths: int | None = None
-) -> ImportanceSampling | None:
+def cache_stage(run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> ImportanceSampling | None:
     """The accurate method with its cache of light filled, which reflections use, too."""
     if settings.method != "importance-sampling" or settings.bounces < 1 or not tables.emitters.flux.any():
         return None
@@ -189,7 +185,7 @@ def cache_stage(
         sampler = ImportanceSampling(
             samples=settings.samples, gather=settings.gather, bounces=settings.bounces, seed=settings.seed, threads=threads
         )
-        run.rays["light"] += sampler.cache_light(tables, points, tick, paths=paths)
+        run.rays["light"] += sampler.cache_light(tables, points, tick)
     return sampler
 
 

@@ -23,8 +23,6 @@ from .filling import denoised, extended, surroundings, without_strays
 from .seams import find_seams, stitched
 
 CORNER_RAYS = 2  # of a corner of a colour attribute, for each of a texel
-# Paths into the cache of light for each ray of the points, and the fewest: the points of one texel ask for nearly the same light.
-PATHS, MIN_PATHS = 0.04, 20000
 DENOISING = "fast"  # half the time of "high" at the same error (docs/lightmaps.md)
 
 
@@ -150,8 +148,7 @@ def _light(run: Run, scene: Scene, tables: Transport, seen: list[Texels], settin
     )
     points = points.take(morton_order(points.position, points.ns))
     request = settings.render.with_defaults()
-    paths = max(MIN_PATHS, int(PATHS * len(points.pixel) * (request.samples + request.gather)))
-    direct, indirect = light_points(run, scene, tables, points, request, threads, direct=settings.content != "indirect", paths=paths)
+    direct, indirect = light_points(run, scene, tables, points, request, threads, direct=settings.content != "indirect")
     flat = _image(points, direct + indirect, first[-1])
     return [flat[start : start + size].reshape(*texels.state.shape, 3) for texels, start, size in zip(seen, first, sizes)]
 
