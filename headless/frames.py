@@ -31,9 +31,12 @@ class View:
     frame: int | None = None
     border: tuple[int, int, int, int] | None = None
 
-    def extract(self, scene: bpy.types.Scene, frame: float | None = None) -> Scene:
-        """The arrays of a scene as this view shows it, at another frame where one is given; SceneError where it cannot be rendered."""
-        arrays = extract(scene, camera=self.camera, size=self.size, frame=self.frame if frame is None else frame)
+    def extract(self, scene: bpy.types.Scene, frame: float | None = None, still: Scene | None = None) -> Scene:
+        """The arrays of a scene as this view shows it, at another frame where one is given; SceneError where it cannot be rendered.
+
+        still: as in `sources.extract`.
+        """
+        arrays = extract(scene, camera=self.camera, size=self.size, frame=self.frame if frame is None else frame, still=still)
         if self.border is not None:
             camera = arrays.camera
             if self.border[2] > camera.width or self.border[3] > camera.height:

@@ -28,6 +28,43 @@ def _animated(block: bpy.types.ID | None) -> bool:
     return data is not None and (data.action is not None or bool(data.drivers) or bool(data.nla_tracks))
 
 
+# Constraints whose result depends on nothing but the transforms of objects.
+_PLAIN_CONSTRAINTS = {
+    "CHILD_OF", "COPY_LOCATION", "COPY_ROTATION", "COPY_SCALE", "COPY_TRANSFORMS", "DAMPED_TRACK", "LIMIT_DISTANCE", "LIMIT_LOCATION",
+    "LIMIT_ROTATION", "LIMIT_SCALE", "LOCKED_TRACK", "PIVOT", "STRETCH_TO", "TRACK_TO", "TRANSFORM",
+}  # fmt: skip
+
+_BYSTANDERS = (bpy.types.Scene, bpy.types.Collection, bpy.types.Screen, bpy.types.WindowManager)  # know cameras, but do not follow them
+
+
+def only_cameras_move(scene: bpy.types.Scene) -> bool:
+    """Whether nothing but cameras, and what they hang on, can be otherwise at another frame; False where that is not certain.
+
+    What moves is told by what has keys, drivers, physics and modifiers, not by evaluating frames: so it holds for every frame.
+    """
+    handlers = (bpy.app.handlers.frame_change_pre, bpy.app.handlers.frame_change_post)
+    if any(handlers) or bpy.data.cache_files or any(volume.is_sequence for volume in bpy.data.volumes):
+        return False
+    if any(image.source in ("SEQUENCE", "MOVIE") for image in bpy.data.images):
+        return False
+    chain = {ob for ob in scene.objects if ob.type == "CAMERA"}
+    for ob in list(chain):
+        while ob.parent is not None:
+            chain.add(ob := ob.parent)
+    if any(ob.type not in ("CAMERA", "EMPTY") or any(c.type not in _PLAIN_CONSTRAINTS for c in ob.constraints) for ob in chain):
+        return False
+    eyes = chain | {ob.data for ob in chain if ob.data is not None}
+    users = bpy.data.user_map()
+    still = (block for block in users if block not in eyes)
+    if any(_animated(block) or _animated(getattr(block, "node_tree", None)) for block in still):
+        return False
+    if any(ob not in chain and _moves(ob) for ob in bpy.data.objects):
+        return False
+    # Whatever else looks at a camera, or hangs on one, may follow it.
+    others = set().union(*(users[ob] for ob in chain)) - eyes if chain else set()
+    return all(isinstance(block, _BYSTANDERS) for block in others)
+
+
 def exposures(scene: bpy.types.Scene, frame: int, count: int) -> list[float]:
     """Times in frames at which a frame is exposed: the middles of `count` parts of the time that the scene's shutter is open."""
     if count == 1:

@@ -15,7 +15,7 @@ from ..core.scene import Scene
 from ..core.settings import RenderSettings, SequenceSettings
 from .console import Terminal
 from .frames import TOPOLOGIES, Frame, View
-from .motion import exposures, moving_objects
+from .motion import exposures, moving_objects, only_cameras_move
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,8 @@ class ShotRenderer:
         self.scene, self.shot, self.terminal = scene, shot, terminal
         self._settings = shot.sequence.frame(shot.settings)
         self._moving = moving_objects(scene)
+        self._still = only_cameras_move(scene)
+        self._last: Scene | None = None  # arrays, where they are good for other frames
         self._reuse: Reuse | None = None
         self._next = 0  # exposure that would follow without a gap
 
@@ -55,7 +57,7 @@ class ShotRenderer:
         """Release what is kept."""
         if self._reuse is not None:
             self._reuse.close()
-        self._reuse = None
+        self._reuse = self._last = None
 
     def frame(self, number: int) -> Frame:
         """The frame of this number; raises what `pipeline.render` does."""
@@ -76,7 +78,8 @@ class ShotRenderer:
         time = exposures(self.scene, self.shot.frames[exposure // count], count)[exposure % count]
         with CompileTimer() as compiling:
             begin = perf_counter()
-            arrays = self.shot.view.extract(self.scene, time)
+            arrays = self.shot.view.extract(self.scene, time, self._last)
+            self._last = arrays if self._still else None
             arrays = self._reuse.begin(arrays, exposure)
             seconds = perf_counter() - begin
         self._next = exposure + 1

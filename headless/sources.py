@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 
 from .. import sample_scenes
-from ..addon.extract import extract_scene
+from ..addon.extract import extract_camera_alone, extract_scene
 from ..addon.files import open_scene
 from ..core.errors import SceneError
 from ..core.scene import Scene
@@ -46,7 +46,14 @@ def find_scene(source: str) -> str | None:
     return next((str(path) for path in paths if path.is_file()), None)
 
 
-def extract(scene: bpy.types.Scene, *, camera: str | None, size: tuple[int, int] | None, frame: float | None) -> Scene:
-    """The arrays of `scene` as its camera sees it; raises SceneError where it cannot be rendered."""
+def extract(
+    scene: bpy.types.Scene, *, camera: str | None, size: tuple[int, int] | None, frame: float | None, still: Scene | None = None
+) -> Scene:
+    """The arrays of `scene` as its camera sees it; raises SceneError where it cannot be rendered.
+
+    still: those of another frame, where it is known that nothing but the camera differs.
+    """
     with quiet():
+        if still is not None:
+            return extract_camera_alone(still, scene, camera=camera, size=size, frame=frame)
         return extract_scene(scene, camera=camera, size=size, frame=frame)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import bpy
 
@@ -16,7 +17,7 @@ from .geometry import Collected, assemble, collect
 from .lamps import CollectedLamps, collect_lamps, to_arrays
 from .world import Cycles, extract_world
 
-__all__ = ["extract_scene", "extract_shown"]
+__all__ = ["extract_camera_alone", "extract_scene", "extract_shown"]
 
 
 def extract_scene(
@@ -41,8 +42,7 @@ def extract_scene(
     Raises:
         SceneError: no camera, one that cannot be rendered from, no pixels, or too much geometry.
     """
-    if frame is not None and frame != scene.frame_current_final:
-        scene.frame_set(math.floor(frame), subframe=frame % 1.0)
+    _go_to(scene, frame)
     eye = find_camera(scene, camera) if lightmaps is None else None
     pixels = eye and image_frame(scene, size)
     warnings = camera_warnings(eye, scene) if eye else []
@@ -60,6 +60,28 @@ def extract_scene(
     extracted = _assembled(scene, layer, graph, found, lamps, view, "apart" if depsgraph is not None else "here")
     extracted.warnings[:0] = warnings
     return extracted
+
+
+def extract_camera_alone(before: Scene, scene: bpy.types.Scene, *, camera: str | None, size: tuple[int, int] | None, frame: float) -> Scene:
+    """The arrays of another frame in which nothing but the camera has moved, on those of the scene `before`.
+
+    Raises what `extract_scene` does of cameras.  The viewport's evaluation is asked: it has the same camera, unless that is hidden
+    there, and costs next to nothing.
+    """
+    _go_to(scene, frame)
+    layer = scene.view_layers[before.view_layer]
+    layer.update()
+    eye = find_camera(scene, camera).evaluated_get(layer.depsgraph)
+    if not eye.is_evaluated:
+        return extract_scene(scene, camera=camera, size=size, view_layer=layer)
+    view = extract_camera(eye, image_frame(scene, size))
+    view.matrix[:3, 3] -= before.origin
+    return replace(before, camera=view, frame=scene.frame_current)
+
+
+def _go_to(scene: bpy.types.Scene, frame: float | None) -> None:
+    if frame is not None and frame != scene.frame_current_final:
+        scene.frame_set(math.floor(frame), subframe=frame % 1.0)
 
 
 def extract_shown(depsgraph: bpy.types.Depsgraph, camera: Camera) -> Scene:

@@ -8,9 +8,11 @@ import pytest
 
 from lumigate import sample_scenes
 from lumigate.core.layers import read_exr
+from lumigate.core.reuse.sequence import alike
 from lumigate.headless import arguments
 from lumigate.headless.cli import main
-from lumigate.headless.motion import exposures, moving_objects
+from lumigate.headless.frames import View
+from lumigate.headless.motion import exposures, moving_objects, only_cameras_move
 
 SMALL = ["--size", "24x16", "--vpls", "16", "--pixel-samples", "2", "--bounces", "2", "--no-denoise", "--history", "2"]
 
@@ -79,6 +81,79 @@ def test_what_moves_is_known(animated):
     bpy.context.scene.render.motion_blur_shutter = 0.5
     bpy.context.scene.render.motion_blur_position = "CENTER"
     assert exposures(bpy.context.scene, 4, 2) == [3.875, 4.125]
+
+
+@pytest.fixture
+def flown():
+    """The Cornell box with a moving camera that hangs on an empty."""
+    scene = sample_scenes.build("cornell")
+    crane = bpy.data.objects.new("Crane", None)
+    scene.collection.objects.link(crane)
+    scene.camera.parent = crane
+    keyed(crane, "location", 1.0)
+    return scene
+
+
+def keyed(block, path, change):
+    """Keys at frames 1 and 6."""
+    block.keyframe_insert(path, frame=1)
+    value = getattr(block, path)
+    setattr(block, path, value + change if isinstance(value, float) else [value[0] + change, *value[1:]])
+    block.keyframe_insert(path, frame=6)
+
+
+def test_a_flown_camera_is_all_that_is_read_again(flown):
+    assert only_cameras_move(flown)
+    view = View(size=(24, 16))
+    first = view.extract(flown, 1)
+    quick, whole = view.extract(flown, 4.5, first), view.extract(flown, 4.5)
+    assert quick.geometry is first.geometry
+    for name in ("camera", "geometry", "materials", "lamps", "world", "origin"):
+        assert alike(getattr(quick, name), getattr(whole, name)), name
+    assert not alike(quick.camera, first.camera)
+
+
+def test_a_camera_hidden_in_the_viewport_is_found(flown):
+    view = View(size=(24, 16))
+    first = view.extract(flown, 1)
+    flown.camera.hide_viewport = True
+    np.testing.assert_allclose(view.extract(flown, 5, first).camera.matrix, view.extract(flown, 5).camera.matrix)
+
+
+@pytest.mark.parametrize("what", ["object", "lamp", "material", "world", "driver", "child", "follower", "physics", "movie", "handler"])
+def test_what_else_may_change_is_seen(flown, what):
+    ob = next(ob for ob in flown.objects if ob.type == "MESH")
+    handler = bpy.app.handlers.frame_change_post
+    match what:
+        case "object":
+            keyed(ob, "location", 0.1)
+        case "lamp":
+            lamp = bpy.data.lights.new("Lamp", "POINT")
+            flown.collection.objects.link(bpy.data.objects.new("Lamp", lamp))
+            keyed(lamp, "energy", 5.0)
+        case "material":
+            ob.active_material.use_nodes = True
+            keyed(ob.active_material.node_tree.nodes["Principled BSDF"].inputs["Roughness"], "default_value", 0.1)
+        case "world":
+            flown.world = flown.world or bpy.data.worlds.new("World")
+            keyed(flown.world, "color", 0.1)
+        case "driver":
+            ob.driver_add("location", 0).driver.expression = "frame"
+        case "child":
+            ob.parent = flown.camera
+        case "follower":
+            ob.constraints.new("TRACK_TO").target = flown.camera
+        case "physics":
+            ob.modifiers.new("Cloth", "CLOTH")
+        case "movie":
+            bpy.data.images.new("Film", 4, 4).source = "SEQUENCE"
+        case "handler":
+            handler.append(len)
+    try:
+        assert not only_cameras_move(flown)
+    finally:
+        if len in handler:
+            handler.remove(len)
 
 
 @pytest.mark.parametrize("extra", [["--history", "3"], ["--skip-existing"], ["--contact-sheet", "x.png"]])
