@@ -123,7 +123,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
         for s in range(samples):
             for lane in range(lanes):
                 k = base + lane
-                u1, u2 = r2(s, np.uint32(seed) ^ np.uint32(k * 2654435761))
+                u1, u2 = r2(s, np.uint32(seed) ^ np.uint32(np.uint32(k) * np.uint32(2654435761)))
                 lx, ly, lz = cosine_hemisphere(u1, u2)
                 dx, dy, dz = to_world(lx, ly, lz, points.ns[k, 0], points.ns[k, 1], points.ns[k, 2])
                 direction[lane, 0], direction[lane, 1], direction[lane, 2] = dx, dy, dz
