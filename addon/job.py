@@ -99,7 +99,7 @@ def loading() -> Job:
 
 def _load(advance: Callable[[str, float], bool]) -> None:
     advance("loading", 0.0)
-    importlib.import_module("..core.pipeline", __package__)
+    importlib.import_module("..core.tiled", __package__)
     importlib.import_module(".extract", __package__)
     builder = importlib.import_module(".materials.builder", __package__)
     builder.warm_up()
@@ -112,16 +112,16 @@ def render_job(
     extraction_seconds: float = 0.0,
     afterwards: Callable[[RenderResult], Any] = lambda result: result,
 ) -> Job:
-    """The core's render of `scene` as a job.
+    """The core's render of `scene` as a job, in tiles where it does not fit into memory.
 
     afterwards: called in the thread, too, with the `core.pipeline.RenderResult`; what it returns is the job's result.
     """
 
     def work(advance: Callable[[str, float], bool]) -> Any:
         # Not before `loading`, or Blender's start would wait for Numba.
-        from ..core.pipeline import render
+        from ..core.tiled import render_fitting
 
-        return afterwards(render(scene, settings, advance, extraction_seconds=extraction_seconds))
+        return afterwards(render_fitting(scene, settings, advance, extraction_seconds=extraction_seconds))
 
     return computing(work, Progress(settings.time_budget, open_end=settings.with_defaults().target_error is not None))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 
@@ -18,6 +19,7 @@ _SHARES = {
     "denoise": 0.05,
     "groups": 0.03,
 }
+_TILE = re.compile(r"tile (\d+) of (\d+): (.*)")  # of a picture that does not fit into memory: `core.tiled`
 _MOST = 0.99  # what is shown before the end
 _ENOUGH = 0.1  # of the work must be done before the time left is worth showing
 _LABELS = {
@@ -56,7 +58,9 @@ class Progress:
 
     def advance(self, stage: str, fraction: float) -> None:
         """The work is at `fraction` (0..1) of `stage`."""
-        self._label = _LABELS.get(stage, stage)
+        tile = _TILE.match(stage)
+        done, count, stage = (int(tile[1]) - 1, int(tile[2]), tile[3]) if tile else (0, 1, stage)
+        self._label = (f"tile {tile[1]} of {tile[2]}, " if tile else "") + _LABELS.get(stage, stage)
         if self._budget is not None:
             reached = (time.perf_counter() - self._begin) / self._budget
         elif self._open_end:
@@ -64,7 +68,7 @@ class Progress:
         else:
             stages = list(_SHARES)
             before = stages.index(stage) if stage in _SHARES else 0
-            reached = sum(_SHARES[name] for name in stages[:before]) + _SHARES.get(stage, 0.0) * fraction
+            reached = (done + sum(_SHARES[name] for name in stages[:before]) + _SHARES.get(stage, 0.0) * fraction) / count
         self.fraction = max(self.fraction, min(reached, _MOST))
 
     @property

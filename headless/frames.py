@@ -14,9 +14,9 @@ from ..core.jit import CompileTimer
 from ..core.layers import Layers
 from ..core.scene import Scene
 from ..core.settings import RenderSettings
+from ..core.tiled import render_fitting
 from .console import Terminal
 from .sources import extract
-from .tiled import render_fitting
 from .topology_files import StoredTopologies
 
 TOPOLOGIES = StoredTopologies()

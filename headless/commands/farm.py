@@ -78,15 +78,17 @@ def _numbers(argv: tuple[str, ...]) -> range:
 
 
 def _tiles(arguments: Namespace, client, terminal: Terminal) -> None:
+    from ...core.tiles import Mosaic, tiles, with_halo
     from ..farm.job import job_name
-    from ..farm.parts import OUTPUT, SCENE, Part, identify, joined, tiles, with_halo
+    from ..farm.parts import OUTPUT, SCENE, Part, identify
 
     scene, digest, content = identify(arguments.scene)
     width, height = arguments.size
+    picture = (0, 0, width, height)
     name = job_name()
     parts = {}
-    for tile in tiles(width, height, arguments.tiles):
-        border = ",".join(map(str, with_halo(tile, width, height)))
+    for tile in tiles(picture, arguments.tiles):
+        border = ",".join(map(str, with_halo(tile, picture)))
         argv = ("render", SCENE, "-o", f"{OUTPUT}/tile.exr", "--size", f"{width}x{height}", "--border", border, *arguments.rest)
         parts[f"{name}-tile-{','.join(map(str, tile))}"] = tile, argv
     jobs = [Part(key, argv, scene, digest, (t[2] - t[0]) * (t[3] - t[1])) for key, (t, argv) in parts.items()]
@@ -95,9 +97,12 @@ def _tiles(arguments: Namespace, client, terminal: Terminal) -> None:
         for part, result in _results(client, jobs, content, terminal):
             file = Path(folder) / "tile.exr"
             file.write_bytes(result["files"]["tile.exr"])
-            found[parts[part.key][0]] = read_exr(file)
-    write_exr(arguments.output, joined(found, width, height))
-    terminal.out.print(f"{arguments.output}: {width}x{height}, {len(found)} tiles", markup=False, soft_wrap=True)
+            found[part.key] = read_exr(file)
+    mosaic = Mosaic((tile for tile, _ in parts.values()), picture)
+    for key, (tile, _) in parts.items():  # in this order, whichever came first: the same bits
+        mosaic.add(tile, found[key])
+    write_exr(arguments.output, mosaic.picture())
+    terminal.out.print(f"{arguments.output}: {width}x{height}, {len(parts)} tiles", markup=False, soft_wrap=True)
 
 
 def _lightmaps(arguments: Namespace, client, terminal: Terminal) -> None:

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from ... import sample_scenes
-from ...core.layers import Layers
 
 # Stand for the scene's file and the output's folder on the machine that runs a part.
 SCENE, OUTPUT = "{scene}", "{output}"
-HALO = 32  # pixels around a tile that are rendered for the denoiser, and thrown away
 FEWEST, MOST = 8, 64  # frames of a part: the first needs the history of those before it
 
 
@@ -50,29 +46,3 @@ def frame_parts(frames: Sequence[int], workers: int, step: int = 1) -> list[tupl
             runs.append([])
         runs[-1].append(number)
     return [tuple(run) for run in runs]
-
-
-def tiles(width: int, height: int, side: int) -> Iterator[tuple[int, int, int, int]]:
-    """(x0, y0, x1, y1) in pixels of tiles `side` wide, row by row."""
-    for y in range(0, height, side):
-        for x in range(0, width, side):
-            yield x, y, min(x + side, width), min(y + side, height)
-
-
-def with_halo(tile: tuple[int, int, int, int], width: int, height: int) -> tuple[int, int, int, int]:
-    """The tile and the pixels around it, as far as the picture goes."""
-    x0, y0, x1, y1 = tile
-    return max(0, x0 - HALO), max(0, y0 - HALO), min(width, x1 + HALO), min(height, y1 + HALO)
-
-
-def joined(parts: dict[tuple[int, int, int, int], Layers], width: int, height: int) -> Layers:
-    """One picture of tiles, each with its halo."""
-    first = next(iter(parts.values()))
-    whole = replace(first, arrays={}, offset=(0, 0), full_size=(width, height))
-    for name, array in first.items():
-        whole[name] = np.empty((height, width, array.shape[2]), np.float32)
-    for (x0, y0, x1, y1), layers in parts.items():
-        left, top = layers.offset
-        for name in whole:
-            whole[name][y0:y1, x0:x1] = layers[name][y0 - top : y1 - top, x0 - left : x1 - left]
-    return whole

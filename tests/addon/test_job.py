@@ -76,6 +76,13 @@ def test_progress_never_falls_and_stays_below_one():
     assert seen == sorted(seen) and 0 < seen[0] < seen[-1] < 1
 
 
+def test_progress_of_tiles():
+    progress = Progress()
+    progress.advance("tile 2 of 4: view", 0.0)
+    assert 0.25 < progress.fraction < 0.5
+    assert str(progress).startswith("tile 2 of 4, tracing the view")
+
+
 def test_progress_of_a_budget_goes_by_the_clock():
     progress = Progress(time_budget=1e6)
     progress.advance("denoise", 1.0)

@@ -5,39 +5,39 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from ..core.layers import Layers
-from ..core.memory import SHARE, available, check_memory, estimate
-from ..core.pipeline import RenderResult, render
-from ..core.scene import Scene
-from ..core.settings import RenderSettings
-from ..core.stages import StageProgress
-from ..core.topology import Topologies
-from .farm.parts import joined, tiles, with_halo
+from .memory import SHARE, available, check_memory, estimate
+from .pipeline import RenderResult, render
+from .scene import Scene
+from .settings import RenderSettings
+from .stages import StageProgress
+from .tiles import Mosaic, Tile, tiles, with_halo
+from .topology import IN_MEMORY, Topologies
 
 SIDES = (4096, 2048, 1024, 512, 256, 128, 64)  # of tiles that are tried
 HELD = 250  # bytes of a pixel in all layers, and on their way into the file
-
-Tile = tuple[int, int, int, int]
 
 
 def fitting_tiles(scene: Scene, settings: RenderSettings) -> list[Tile]:
     """The largest tiles of the picture that a render fits into memory with; none where the whole does.
 
     Raises:
-        SceneError: not even the smallest do, or only a part of the picture is wanted.
+        SceneError: not even the smallest do.
     """
-    free, camera = available(), scene.camera
+    free, border = available(), scene.camera.border
     if free is None or estimate(scene, settings) <= SHARE * free:
         return []
-    width, height = camera.width, camera.height
-    if tuple(camera.border) == (0, 0, width, height):
-        for side in SIDES:
-            cut = list(tiles(width, height, side))
-            largest = max((with_halo(tile, width, height) for tile in cut), key=lambda b: (b[2] - b[0]) * (b[3] - b[1]))
-            if HELD * width * height + estimate(_seen_through(scene, largest), settings) <= SHARE * free:
-                return cut
+    whole = HELD * _pixels(border)
+    for side in SIDES:
+        cut = list(tiles(border, side))
+        largest = max((with_halo(tile, border) for tile in cut), key=_pixels)
+        if whole + estimate(_seen_through(scene, largest), settings) <= SHARE * free:
+            return cut
     check_memory(scene, settings)
     return []  # other programs have given memory back
+
+
+def _pixels(tile: Tile) -> int:
+    return (tile[2] - tile[0]) * (tile[3] - tile[1])
 
 
 def _seen_through(scene: Scene, border: Tile) -> Scene:
@@ -45,39 +45,36 @@ def _seen_through(scene: Scene, border: Tile) -> Scene:
 
 
 def render_fitting(
-    scene: Scene, settings: RenderSettings, progress: StageProgress, *, extraction_seconds: float, topologies: Topologies
+    scene: Scene,
+    settings: RenderSettings,
+    progress: StageProgress | None = None,
+    *,
+    extraction_seconds: float = 0.0,
+    topologies: Topologies = IN_MEMORY,
 ) -> RenderResult:
     """`core.pipeline.render`, in tiles where the picture does not fit into memory; a time budget is shared by them."""
     cut = fitting_tiles(scene, settings)
     if not cut:
         return render(scene, settings, progress, extraction_seconds=extraction_seconds, topologies=topologies)
-    width, height = scene.camera.width, scene.camera.height
     if settings.time_budget is not None:
         settings = replace(settings, time_budget=settings.time_budget / len(cut))
-    parts: dict[Tile, Layers] = {}
-    stats: list[dict] = []
+    border = scene.camera.border
+    mosaic, stats = Mosaic(cut, border), []
     for k, tile in enumerate(cut):
         part = render(
-            _seen_through(scene, with_halo(tile, width, height)), settings, _of_tile(progress, k, len(cut)), topologies=topologies,
+            _seen_through(scene, with_halo(tile, border)), settings, _of_tile(progress, k, len(cut)), topologies=topologies,
             extraction_seconds=0.0 if k else extraction_seconds,
         )  # fmt: skip
-        parts[tile] = _cropped(part.layers, tile)
+        mosaic.add(tile, part.layers)
         stats.append(part.stats)
-    note = f"the picture does not fit into memory: it was rendered in {len(cut)} tiles, whose borders may show in noise-free light"
-    whole = _together(stats) | {"size": [width, height], "tiles": len(cut)}
+    note = f"the picture does not fit into memory: it was rendered in {len(cut)} tiles, each with light samples of its own"
+    whole = _together(stats) | {"size": [border[2] - border[0], border[3] - border[1]], "tiles": len(cut)}
     whole["warnings"] = [*whole["warnings"], note]
-    return RenderResult(joined(parts, width, height), whole)
+    return RenderResult(mosaic.picture(), whole)
 
 
-def _of_tile(progress: StageProgress, k: int, count: int) -> Callable[[str, float], bool]:
-    return lambda stage, fraction: progress(f"tile {k + 1} of {count}: {stage}", fraction)
-
-
-def _cropped(layers: Layers, tile: Tile) -> Layers:
-    """Without its halo, in memory of its own."""
-    (left, top), (x0, y0, x1, y1) = layers.offset, tile
-    arrays = {name: array[y0 - top : y1 - top, x0 - left : x1 - left].copy() for name, array in layers.items()}
-    return replace(layers, arrays=arrays, offset=(x0, y0))
+def _of_tile(progress: StageProgress | None, k: int, count: int) -> Callable[[str, float], bool] | None:
+    return progress and (lambda stage, fraction: progress(f"tile {k + 1} of {count}: {stage}", fraction))
 
 
 def _together(stats: list[dict]) -> dict:
