@@ -1,4 +1,4 @@
-"""The core's tests with jitting off: kernels are plain Python, so that coverage sees their lines, and NumPy's scalars do their sums.
+"""Tests of the core with jitting off: kernels are plain Python, so that coverage sees their lines, and NumPy's scalars do their sums.
 
     python tests/plain.py [--seconds S] [--jobs N] [TEST FILE ...]
 
@@ -17,9 +17,13 @@ import subprocess
 import sys
 import tempfile
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
+FILES = ("core/test_*.py", "addon/test_materials_*.py")  # the material programs have their oracle, Cycles, on Blender's side
 WORD = ctypes.c_void_p
 
 
@@ -111,20 +115,20 @@ class Limit:
     def _stop(self, *_):
         raise CutOff
 
+    @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item):
-        """Starts the clock."""
+        """Rings until it is heard: what is raised inside a callback of C is lost."""
         signal.signal(signal.SIGALRM, self._stop)
-        signal.alarm(self.seconds)
-
-    def pytest_runtest_teardown(self, item):
-        """Stops it."""
-        signal.alarm(0)
+        signal.setitimer(signal.ITIMER_REAL, self.seconds, 1.0)
+        try:
+            return (yield)
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def run_here(seconds: int, files: list[str], data: str) -> int:
     """The tests of some files in this process, their coverage into `data`."""
     import coverage
-    import pytest
 
     covered = coverage.Coverage(data_file=data, source_pkgs=["lumigate.core"], messages=False)
     covered.start()
@@ -143,27 +147,20 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--data", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    files = arguments.files or sorted(map(str, (ROOT / "tests" / "core").glob("test_*.py")))
+    files = arguments.files or sorted(str(path) for pattern in FILES for path in (ROOT / "tests").glob(pattern))
     if arguments.data:
         return run_here(arguments.seconds, files, arguments.data)
     import coverage
 
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "COVERAGE_CORE": "sysmon" if sys.version_info >= (3, 12) else "ctrace"}
     with tempfile.TemporaryDirectory() as folder:
-        jobs = []
-        for k in range(min(arguments.jobs, len(files))):
-            command = [
-                sys.executable,
-                __file__,
-                "--seconds",
-                str(arguments.seconds),
-                "--data",
-                f"{folder}/part{k}",
-                *files[k :: arguments.jobs],
-            ]
-            jobs.append(subprocess.Popen(command, env=environment, cwd=ROOT))
-        for job in jobs:
-            job.wait()
+
+        def run(job: tuple[int, str]) -> None:
+            command = [sys.executable, __file__, "--seconds", str(arguments.seconds), "--data", f"{folder}/part{job[0]}", job[1]]
+            subprocess.run(command, env=environment, cwd=ROOT, check=False)
+
+        with ThreadPoolExecutor(arguments.jobs) as pool:
+            list(pool.map(run, enumerate(files)))
         whole = coverage.Coverage(data_file=f"{folder}/whole", source_pkgs=["lumigate.core"])
         whole.combine([str(path) for path in Path(folder).glob("part*")])
         share = whole.report(show_missing=True, skip_covered=True)
