@@ -23,7 +23,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-FILES = ("core/test_*.py", "addon/test_materials_*.py")  # the material programs have their oracle, Cycles, on Blender's side
+FILES = (
+    "core/test_*.py",
+    "addon/test_materials_*.py",
+    "addon/extract/test_extract_film.py",
+)  # materials have their oracle on Blender's side: Cycles
 WORD = ctypes.c_void_p
 
 
@@ -100,9 +104,10 @@ def patch() -> None:
     import numba.extending
 
     numba.extending.intrinsic, numba.extending.overload = _intrinsic, _overload
-    from lumigate.core import jit
+    from lumigate.core import jit, threads
 
     jit.c_function = lambda signature: _Compiled
+    threads.thread_count = lambda _=0: 1  # a test that is cut off must leave nobody behind who traces rays in what it frees
     warnings.simplefilter("ignore", RuntimeWarning)  # hashes wrap around, and NumPy says so for each scalar
 
 
@@ -161,7 +166,7 @@ def main() -> int:
 
         with ThreadPoolExecutor(arguments.jobs) as pool:
             list(pool.map(run, enumerate(files)))
-        whole = coverage.Coverage(data_file=f"{folder}/whole", source_pkgs=["lumigate.core"])
+        whole = coverage.Coverage(data_file=f"{folder}/whole", source_pkgs=["lumigate.core"], config_file=str(ROOT / "pyproject.toml"))
         whole.combine([str(path) for path in Path(folder).glob("part*")])
         share = whole.report(show_missing=True, skip_covered=True)
     print(f"{share:.1f} % of the lines of core/")
