@@ -109,6 +109,24 @@ def remember(
         sequence.add(picture)
 
 
+def scout(
+    scene: Scene,
+    settings: RenderSettings,
+    sequence: Sequence,
+    progress: StageProgress | None = None,
+    *,
+    topologies: Topologies = IN_MEMORY,
+) -> None:
+    """Compute of a frame only what the cache of light of later ones takes from it; arguments and errors as `render`."""
+    settings = settings.with_defaults()
+    run = Run(progress, sequence=sequence, turn=sequence.turn)
+    threads = thread_count(settings.threads)
+    run.groups = _light_groups(run, scene, settings)
+    with prepared(run, scene, settings, threads, topologies) as tables:
+        seen = _look(run, scene, tables, settings, threads)
+        cache_stage(run, tables, seen.points, settings, threads)
+
+
 def _render(
     scene: Scene,
     settings: RenderSettings,
@@ -243,8 +261,8 @@ def _light_groups(run: Run, scene: Scene, settings: RenderSettings) -> LightGrou
     return None
 
 
-def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, threads: int, weight: float) -> Picture:
-    """One picture of the view, its samples, VPLs and caches independent of those of other seeds."""
+def _look(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, threads: int) -> View:
+    """What the camera sees."""
     with run.stage("view") as tick:
 
         def look() -> View:
@@ -262,6 +280,12 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
 
         seen = run.sequence.view(scene, settings, look) if run.sequence else look()
         run.rays["primary"] += seen.rays
+    return seen
+
+
+def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, threads: int, weight: float) -> Picture:
+    """One picture of the view, its samples, VPLs and caches independent of those of other seeds."""
+    seen = _look(run, scene, tables, settings, threads)
     points = seen.points
     if run.topology is not None:
         tables = within_reach(run, tables, points)

@@ -258,7 +258,7 @@ class SequenceSettings:
     """
 
     history: int = 7
-    share: float = 0.35
+    share: float = 0.5
     motion_blur: int = 1
 
     def frame(self, settings: RenderSettings) -> RenderSettings:

@@ -19,6 +19,7 @@ from .methods.fuzzy_clustering import FuzzyClustering
 from .methods.glossy import Reflections, has_lobes, reflect
 from .methods.importance_sampling import ImportanceSampling
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
+from .methods.probes import trace_probes
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
 from .methods.virtual_area_lights import VirtualAreaLights
 from .methods.visibility_gates import VisibilityGates
@@ -68,6 +69,10 @@ class Run:
         """Note what was left out, once."""
         if Skipped(stage, why) not in self.skipped:
             self.skipped.append(Skipped(stage, why))
+
+    def in_turn(self, settings: RenderSettings) -> bool:
+        """Whether frames share work by turns: not where each takes as many passes as it needs."""
+        return self.sequence is not None and self.sequence.window > 0 and settings.time_budget is None and settings.target_error is None
 
     @contextmanager
     def stage(self, name: str):
@@ -185,7 +190,8 @@ def cache_stage(run: Run, tables: Transport, points: ShadingPoints, settings: Re
         sampler = ImportanceSampling(
             samples=settings.samples, gather=settings.gather, bounces=settings.bounces, seed=settings.seed, threads=threads
         )
-        run.rays["light"] += sampler.cache_light(tables, points, tick)
+        tracer = run.sequence.probes if run.in_turn(settings) else trace_probes
+        run.rays["light"] += sampler.cache_light(tables, points, tick, tracer=tracer)
     return sampler
 
 
@@ -227,7 +233,8 @@ def indirect_stage(
     with run.stage("vpls") as tick:
         if sampler:
             particles = run.sequence.particles if run.sequence else trace_particles
-            vpls, counts = sampler.prepare(tables, points, settings.vpls, tick, particles=particles)
+            turn = run.turn if run.in_turn(settings) else None
+            vpls, counts = sampler.prepare(tables, points, settings.vpls, tick, particles=particles, turn=turn)
         elif settings.method == "virtual-area-lights":
             vpls, counts = vpl_sequence(tables, points, settings.vpls, settings.bounces, settings.seed, threads)
         elif not settings.skipping:

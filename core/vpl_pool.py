@@ -28,6 +28,7 @@ Particles = Callable[[Transport, int, int, int, int], tuple[Vpls, int]]
 BATCH = 8  # particles a batch, for each VPL wanted
 LARGE, LARGE_BATCH = 1 << 19, 2  # particles beyond which a batch has fewer: a million VPLs would take gigabytes
 MOST_BATCHES = 16
+BATCH_SEED = 7919  # between the seeds of batches
 MOST_FLOWN = 1 << 23  # particles in all, which are in memory at once: the same for 65,536 VPLs as ever, 1 GiB for a million
 ENOUGH = 1.5  # lights that matter, for each VPL wanted
 SUBSET = 96  # shading points that stand for the view
@@ -169,7 +170,7 @@ def vpl_pool(
     flown = max(64, min(count * BATCH, max(count * LARGE_BATCH, LARGE)))
     batches = min(batches, max(1, MOST_FLOWN // flown))
     for batch in range(batches):
-        vpls, rays = particles(scene, flown, bounces, seed + 7919 * batch, threads)
+        vpls, rays = particles(scene, flown, bounces, seed + BATCH_SEED * batch, threads)
         counts["light"] += rays
         counts["traced"] += len(vpls.bounce)
         kept = drop_useless(vpls, points)

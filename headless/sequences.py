@@ -9,7 +9,7 @@ from time import perf_counter
 import bpy
 
 from ..core.jit import CompileTimer
-from ..core.pipeline import remember, render
+from ..core.pipeline import remember, render, scout
 from ..core.reuse import Sequence as Reuse
 from ..core.scene import Scene
 from ..core.settings import RenderSettings, SequenceSettings
@@ -35,7 +35,8 @@ class ShotRenderer:
     """Renders frames of a shot, in any order, with the same bits as all of them in order.
 
     A frame needs what the `history` exposures before it found; those that were not computed just before are computed now, without a
-    picture.  Frames in order therefore cost the least.
+    picture.  Their caches of light in turn need the probes of as many before them, which cost little.  Frames in order therefore
+    cost the least.
     """
 
     def __init__(self, scene: bpy.types.Scene, shot: Shot, terminal: Terminal):
@@ -67,6 +68,8 @@ class ShotRenderer:
         if self._reuse is None or not first <= self._next <= begin:
             self.close()
             self._reuse = Reuse(self.shot.sequence, moving=self._moving)
+            for exposure in range(max(0, first - self.shot.sequence.history), first):
+                self._scout(exposure)
             self._next = first
         for exposure in range(self._next, begin + count - 1):
             self._remember(exposure, exposed=exposure >= begin)
@@ -84,6 +87,11 @@ class ShotRenderer:
             seconds = perf_counter() - begin
         self._next = exposure + 1
         return arrays, seconds - compiling.seconds
+
+    def _scout(self, exposure: int) -> None:
+        arrays, _ = self._arrays(exposure)
+        with self.terminal.progress() as progress:
+            scout(arrays, self._settings, self._reuse, progress, topologies=TOPOLOGIES)
 
     def _remember(self, exposure: int, *, exposed: bool) -> None:
         arrays, _ = self._arrays(exposure)

@@ -51,11 +51,11 @@ from ..surfaces.visibility import nearest_surface, transmittance1
 from ..threads import Progress, part, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from ..vpl_pool import Particles, vpl_pool
+from ..vpl_pool import BATCH_SEED, Particles, vpl_pool
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
 from .light_cache import DEPTH, NEAR, LightCache, add_known, build_light_cache, find_cell, look_up
-from .probes import trace_probes
+from .probes import Tracer, trace_probes
 from .tails import path_light
 
 CHUNK = 1024  # points a chunk
@@ -337,13 +337,24 @@ class ImportanceSampling:
         self.rays = 0
         self.pairs = 0
 
-    def cache_light(self, scene: Transport, points: ShadingPoints, progress: Progress | None = None, *, paths: int | None = None) -> int:
-        """Fill the cache of light from `paths` paths that begin at the points (None: as the samples need); the rays traced."""
+    def cache_light(
+        self,
+        scene: Transport,
+        points: ShadingPoints,
+        progress: Progress | None = None,
+        *,
+        paths: int | None = None,
+        tracer: Tracer = trace_probes,
+    ) -> int:
+        """Fill the cache of light from `paths` paths that begin at the points (None: as the samples need); the rays traced.
+
+        tracer: traces them, or knows some of them already.
+        """
         self.scene = scene
         if paths is None:
             n = len(points.pixel)
             paths = max(min(MIN_PATHS, PATHS_A_POINT * n), int(PATHS * n * (self.samples + self.gather) ** 0.5))
-        probes, rays = trace_probes(scene, points, paths, self.seed ^ 0x51AB5, self.threads, part(progress, 0.0, 0.6))
+        probes, rays = tracer(scene, points, paths, self.seed ^ 0x51AB5, self.threads, part(progress, 0.0, 0.6))
         # Where the view's light comes from last: there the particles are wanted.
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
         self.cache: LightCache = build_light_cache(
@@ -368,10 +379,12 @@ class ImportanceSampling:
         progress: Progress | None = None,
         *,
         particles: Particles = trace_particles,
+        turn: int | None = None,
     ) -> tuple[Vpls, dict]:
         """Trace about `count` VPLs for what is left to them: the VPLs and the counts of `vpl_pool`, whose `particles` these are.
 
-        `particles` that serve other views, too, are not drawn to this one.
+        `particles` that serve other views, too, are not drawn to this one.  turn: of pictures that are averaged, which then take
+        one batch of particles each, in turn.
         """
         if particles is trace_particles:
             scene = scene._replace(emitters=focused(scene.emitters, self.lit_from))
@@ -381,11 +394,11 @@ class ImportanceSampling:
             count,
             self.bounces,
             clamp_of,
-            self.seed,
+            self.seed if turn is None else self.seed + BATCH_SEED * (turn % BATCHES),
             self.threads,
             progress,
             share=self.shares,
-            batches=BATCHES,
+            batches=BATCHES if turn is None else 1,
             particles=particles,
         )
         self.g_max = np.float32(clamp_of(vpls, points))

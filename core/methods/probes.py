@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..jit import kernel, leaf
@@ -20,6 +22,9 @@ from ..transport import Transport
 from ..view.points import ShadingPoints
 from .light_cache import DEPTH, DIFFUSE_LINK, GLOSSY_LINK, Probes
 from .tails import DIMENSIONS, scatter_light
+
+# (scene, points, paths, seed, threads, progress) -> probes along about as many paths from the points, and the rays traced.
+Tracer = Callable[[Transport, ShadingPoints, int, int, int, Progress | None], tuple[Probes, int]]
 
 CHUNK = 512  # paths a chunk
 LAMP_RAYS = 4  # shadow rays of a probe: what is stored serves many

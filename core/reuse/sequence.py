@@ -10,20 +10,23 @@ import numpy as np
 
 from ..denoise import Denoiser
 from ..lamps import Emitters, LightGroups, build_emitters
+from ..methods.light_cache import Probes
 from ..particles import Vpls, trace_particles
 from ..picture import Picture
 from ..rays import RayScene
 from ..scene import TRANSPARENT, Scene
 from ..settings import RenderSettings, SequenceSettings
 from ..soundness import sound
+from ..threads import Progress
 from ..transport import Transport
 from ..view.lamps import visible_lamps
+from ..view.points import ShadingPoints
 from ..view.primary import View
 from .history import Estimate, averaged, with_light
+from .windows import ProbeWindow
 
 PARTICLES_KEPT = 8  # batches
 MOST_MOVING = 2000  # objects with a hierarchy of their own: Embree's memory goes with the square
-FIRST = 3  # turns of the first frame
 
 
 @dataclass
@@ -58,6 +61,7 @@ class Sequence:
         self._emitters: Emitters | None = None
         self._view: tuple[tuple, View] | None = None
         self._particles: dict[tuple, tuple[Vpls, int]] = {}
+        self._probes = ProbeWindow(self.window + 1)
         self._estimates: deque[Estimate] = deque(maxlen=self.window)
         self._exposed: list[Picture] = []
         self._denoiser: Denoiser | None = None
@@ -76,6 +80,7 @@ class Sequence:
             self._denoiser.close()
         self._rays = self._denoiser = self._view = self._scene = None
         self._particles.clear()
+        self._probes.clear()
         self._estimates.clear()
 
     @property
@@ -105,6 +110,7 @@ class Sequence:
             self._lit += 1
             self._emitters = None
             self._particles.clear()
+            self._probes.clear()
         if self.changes.light or self.changes.camera:
             self._seen += 1
         return scene
@@ -153,12 +159,16 @@ class Sequence:
         vpls, rays = self._particles[key]
         return vpls._replace(flux=vpls.flux.copy()), rays  # whose light the caller shares out
 
+    def probes(
+        self, tables: Transport, points: ShadingPoints, paths: int, seed: int, threads: int = 0, progress: Progress | None = None
+    ) -> tuple[Probes, int]:
+        """`trace_probes`, of which each frame traces a part, and takes the others from the frames before as long as the light stands still."""
+        return self._probes.trace(self.number, tables, points, paths, seed, threads, progress)
+
     @property
     def first_turns(self) -> list[int]:
-        """Turns that the first frame computes beside its own, so that it has as many samples as a picture by itself."""
-        if self.number > 0 or not self.window:
-            return []
-        return [(self.turn - 1 - k) % (self.window + 1) for k in range(min(FIRST - 1, self.window))]
+        """Turns that the first frame computes beside its own, so that it has as many samples as all later ones, and nothing settles."""
+        return list(range(1, self.window + 1)) if self.number == 0 else []
 
     def add(self, picture: Picture) -> Estimate:
         """Keep what a frame has found by itself."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lumigate.core import rays
-from lumigate.core.pipeline import render
+from lumigate.core.pipeline import remember, render, scout
 from lumigate.core.reuse import Sequence
 from lumigate.core.reuse.history import Estimate, reproject, trust
 from lumigate.core.settings import RenderSettings, SequenceSettings
@@ -67,6 +67,29 @@ def test_history_keeps_the_light_of_a_moving_camera(room):
     assert np.mean((light[-1] - truth) ** 2) < 0.7 * np.mean((alone[-1] - truth) ** 2)
     assert abs(light[-1].mean() / truth.mean() - 1) < 0.05
     assert built == {"rays": 1, "objects": 0, "emitters": 1, "views": 6, "particles": built["particles"]}
+
+
+def test_probes_are_renewed_in_turn_and_never_outlive_the_light(room):
+    brighter = replace(room, world=replace(room.world, radiance=np.full((1, 1, 3), 1, np.float32)))
+    scenes = [moved_camera(room, (0.04 * k, 0, 0)) for k in range(5)] + [brighter, brighter]
+    traced = []
+    with Sequence(SequenceSettings(history=2)) as sequence:
+        for i, scene in enumerate(scenes):
+            render(sequence.begin(scene, i), SETTINGS, sequence=sequence)
+            traced.append(sequence._probes.traced)
+    assert np.diff([0, *traced]).tolist() == [3, 1, 1, 1, 1, 3, 1]
+
+
+def test_scouted_frames_stand_in_for_the_rendered_ones(room):
+    scenes = [moved_camera(room, (0.05 * k, 0, 0)) for k in range(6)]
+    whole, _ = frames(scenes, history=2)
+    with Sequence(SequenceSettings(history=2)) as sequence:
+        for i in (1, 2):
+            scout(sequence.begin(scenes[i], i), SETTINGS, sequence)
+        for i in (3, 4):
+            remember(sequence.begin(scenes[i], i), SETTINGS, sequence)
+        alone = render(sequence.begin(scenes[5], 5), SETTINGS, sequence=sequence).layers["DiffuseIndirect"]
+    np.testing.assert_array_equal(alone, whole[5])
 
 
 def test_moved_object_costs_no_rebuild_of_the_rest(room):

@@ -61,6 +61,17 @@ def test_killed_job_goes_on_with_the_same_bits(animated, whole, tmp_path):
             np.testing.assert_array_equal(ours[name], theirs[name], err_msg=f"{name} of frame {number}")
 
 
+def test_a_part_of_a_flight_has_the_bits_of_the_whole(flown, tmp_path):
+    path = tmp_path / "flown.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    for name, part in (("all", "1-6"), ("part", "6-6")):
+        argv = ["render", str(path), "-o", str(tmp_path / f"{name}.exr"), "--frames", "1-6", "--part", part, *SMALL]
+        assert main(argv) == 0
+    whole, alone = (read_exr(tmp_path / f"{name}0006.exr") for name in ("all", "part"))
+    for name in whole:
+        np.testing.assert_array_equal(alone[name], whole[name], err_msg=name)
+
+
 def test_steps(animated, tmp_path):
     assert main(["render", str(animated), "-o", str(tmp_path / "f.exr"), "--frames", "1-6:4", *SMALL]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["f0001.exr", "f0005.exr"]
