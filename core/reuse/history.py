@@ -25,8 +25,8 @@ from ..scene import Scene
 from ..threads import run_chunks
 from ..view.camera import CameraTables, camera_tables
 
-SAME_NORMAL = np.float32(0.9)  # cosine
-SAME_PLANE = np.float32(1.0)  # pixel widths by which a point may leave the other's plane
+SAME_NORMAL = np.float32(0.5)  # cosine
+SAME_PLANE = np.float32(2.0)  # pixel widths by which a point may leave the other's plane: mouldings smaller than a pixel do
 SAME_REACH = np.float32(4.0)  # pixel widths by which it may lie apart: a surface seen at a slant spreads
 LEAST_COVERAGE = np.float32(0.05)  # of the four pixels around, below which nothing is found
 NEIGHBOURHOOD = 9  # pixels along a side

@@ -143,7 +143,6 @@ def test_what_else_may_change_is_seen(flown, what):
             flown.collection.objects.link(bpy.data.objects.new("Lamp", lamp))
             keyed(lamp, "energy", 5.0)
         case "material":
-            ob.active_material.use_nodes = True
             keyed(ob.active_material.node_tree.nodes["Principled BSDF"].inputs["Roughness"], "default_value", 0.1)
         case "world":
             flown.world = flown.world or bpy.data.worlds.new("World")
