@@ -291,17 +291,19 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
         tables = within_reach(run, tables, points)
     nothing = tables.emitters.no_light(len(points.pixel))
     behind_glass = bool(points.behind_glass.any())
-    sampler = cache_stage(run, tables, points, settings, threads)
+    wants = settings.wants
+    wants_glossy = wants("Direct", "Combined", "GlossyIndirect", "Indirect")
+    wants_indirect = wants("DiffuseIndirect", "Indirect", "Irradiance", "Combined") or (behind_glass and wants("GlossyIndirect"))
+    sampler = cache_stage(run, tables, points, settings, threads) if wants_glossy or wants_indirect else None
     direct = highlights = nothing
     mirrored = Reflections(nothing, nothing, 0, nothing[:, :3])
-    wants = settings.wants
     if wants("Direct", "Combined") or behind_glass:
         with run.stage("direct") as tick:
             direct, highlights = direct_stage(run, scene, tables, points, settings, threads, tick)
-    if wants("Direct", "Combined", "GlossyIndirect", "Indirect"):
+    if wants_glossy:
         mirrored = glossy_stage(run, tables, points, settings, threads, sampler)
     indirect = nothing
-    if wants("DiffuseIndirect", "Indirect", "Irradiance", "Combined") or (behind_glass and wants("GlossyIndirect")):
+    if wants_indirect:
         indirect, vpls = indirect_stage(run, tables, points, seen.shape[1], settings, threads, sampler)
         run.vpls += len(vpls.bounce)
         if settings.debug_layers and not run.debug:

@@ -19,6 +19,7 @@ from .preview_bench import preview_rows
 from .radiosity_bench import radiosity_steps
 from .scaling_bench import scaling_steps
 from .shading_bench import shading_rows
+from .skipping.single import single_rows
 from .skipping.suite import skipping_rows
 from .stress.suite import stress_steps
 from .topology_bench import topology_rows
@@ -79,7 +80,7 @@ STEPS: dict[str, Callable[..., list[Step]]] = {
     "auto": lambda folder: auto_steps((*SCENES, *SHARED)),
     "scaling": lambda folder: scaling_steps(),
     "stress": stress_steps,
-    "skipping": _alone("skipping", skipping_rows),
+    "skipping": lambda folder: [Step("places", skipping_rows), Step("one by one", single_rows)],
     "papers": papers_steps,
     "quick": quick_steps,
     "full": full_steps,

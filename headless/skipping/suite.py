@@ -15,7 +15,7 @@ import numpy as np
 
 from ...core.lamps import world_tables
 from ...core.methods.instant_radiosity import clamp_of
-from ...core.particles import trace_particles
+from ...core.particles import Vpls, trace_particles
 from ...core.pipeline import render
 from ...core.scene import Scene
 from ...core.settings import RenderSettings
@@ -79,6 +79,11 @@ def without(scene: Scene, least: RenderSettings) -> tuple[RenderSettings, bool]:
     return settings, False
 
 
+def _vpl_memory(measured: Measured) -> float:
+    """MiB of the VPLs that are kept."""
+    return measured.vpls * sum(array.nbytes for array in Vpls.allocate(1)) / 2**20
+
+
 def skipping_rows(scenes: dict = SCENES, size: tuple[int, int] = (160, 90)) -> list[dict]:
     """Rows of `bench skipping`."""
     rows = []
@@ -93,6 +98,7 @@ def skipping_rows(scenes: dict = SCENES, size: tuple[int, int] = (160, 90)) -> l
             ("rays", "1", few.rays, many.rays),
             ("mean indirect radiance", "W/m2/sr", few.light, many.light),
             ("memory of arrays", "MiB", few.memory, many.memory),
+            ("memory of VPLs", "MiB", _vpl_memory(few), _vpl_memory(many)),
         ):
             row = {"suite": "skipping", "case": f"{name}: {what}, with and without skipping", "value": value, "unit": unit}
             rows.append(row | {"peer_value": peer, "ratio": peer / value if value else float("nan")})

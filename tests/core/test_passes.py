@@ -77,6 +77,8 @@ def test_only_what_the_wanted_layers_need_is_computed(sphere):
     assert not {"direct", "glossy"} & set(result.stats["seconds"])
     direct = render(sphere, RenderSettings(vpls=64, layers=("Direct",)))
     assert "indirect" not in direct.stats["seconds"]
+    shapes = render(sphere, RenderSettings(vpls=64, layers=("Depth", "Albedo")))
+    assert not {"cache", "direct", "glossy", "vpls", "indirect"} & set(shapes.stats["seconds"])
 
 
 def test_smooth_light_is_left_to_its_method():

@@ -10,6 +10,7 @@ from lumigate.core.lamps import build_emitters
 from lumigate.core.pipeline import render
 from lumigate.core.stages import one_by_one
 from lumigate.headless.skipping.scenes import SCENES
+from lumigate.headless.skipping.single import single_rows
 from lumigate.headless.skipping.suite import WITH, lights_that_matter, skipping_rows
 
 SIZE = (32, 18)
@@ -45,6 +46,20 @@ def test_savings_are_told_before():
 
 def test_rows_of_the_suite():
     rows = skipping_rows({"landscape": SCENES["landscape under the sky"]}, SIZE)
-    assert len(rows) == 4
+    assert len(rows) == 5
     assert all(row["suite"] == "skipping" and np.isfinite(row["ratio"]) for row in rows)
-    assert rows[1]["ratio"] > 1
+    assert rows[1]["ratio"] > 1 and rows[4]["ratio"] > 1
+
+
+def test_what_is_left_out_alone_changes_no_light():
+    rows = {row["case"].partition(",")[0]: row for row in single_rows((32, 18), subdivisions=2)}
+    assert len(rows) == 10
+    for case, share in {
+        "layers not asked for: mean Depth": 0,
+        "objects hidden from every ray: mean Indirect": 1e-5,
+        "frames where nothing changed: mean Indirect": 0.05,  # other rays
+        "topology known already: mean Indirect": 0,
+    }.items():
+        assert rows[case]["value"] == pytest.approx(rows[case]["peer_value"], rel=share) and rows[case]["value"] > 0
+    black = rows["light of black surfaces: mean Indirect"]
+    assert black["value"] == 0 and black["peer_value"] < 1e-9
