@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import importlib.util
+import math
+import os
+import signal
 import tempfile
-from dataclasses import replace
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Event, Thread
 from time import perf_counter, process_time
 
 import bpy
+import numpy as np
 
 from .. import sample_scenes
 from ..core.errors import SceneError
-from ..core.layers import write_exr, write_whole
+from ..core.layers import read_exr, write_exr, write_whole
 from ..core.settings import RenderSettings, SequenceSettings
 from .console import Terminal
 from .frames import View
@@ -21,6 +27,8 @@ from .sequences import Shot, ShotRenderer
 
 TASKS = 1000
 SIZE, FRAMES = (320, 180), 16
+KILLED_EACH = 10.0  # s, in the run whose workers are killed
+SMALL, SMALL_FRAMES, SMALL_HISTORY = (96, 54), 24, 1  # of that run: parts that take less than a worker lives
 
 
 def farm_rows(folder: Path, frames: int = FRAMES, size: tuple[int, int] = SIZE) -> list[dict]:
@@ -36,12 +44,21 @@ def farm_rows(folder: Path, frames: int = FRAMES, size: tuple[int, int] = SIZE) 
         animate(sample_scenes.build("atrium"), "camera", frames)
         bpy.ops.wm.save_as_mainfile(filepath=str(file))
         measured = _constants(file, size)
-        seconds = {workers: _job(file, Path(temporary) / str(workers), frames, size, workers) for workers in (1, 2)}
+        farm = _Farm(file, Path(temporary), frames, size)
+        seconds = {workers: farm.run(f"{workers}", workers)[0] for workers in (1, 2)}
+        same = farm.same("1", "2")
+        small = _Farm(file, Path(temporary), SMALL_FRAMES, SMALL, ("--history", str(SMALL_HISTORY)))
+        small.run("calm", 1)
+        hunted, kills = small.run("hunted", 2, KILLED_EACH)
+        whole = small.same("calm", "hunted")
     model = scaling(replace(FilmShot(), task_seconds=overhead, **measured))
     _plot(folder / "farm-model.png", model)
     rows = [("overhead of a task", overhead * 1000, "ms"), *((name, value, "") for name, value in measured.items())]
     rows += [(f"{frames} frames, {workers} workers", value, "s") for workers, value in seconds.items()]
     rows += [("two workers against one", seconds[1] / seconds[2], "x")]
+    rows += [(f"of {frames} frames with the same bits by one worker and by two", same, "")]
+    rows += [(f"{SMALL_FRAMES} frames, 2 workers, one killed each {KILLED_EACH:g} s", hunted, "s"), ("workers killed then", kills, "")]
+    rows += [(f"of {SMALL_FRAMES} frames with the bits of a worker left alone", whole, "")]
     rows += [(f"film shot on {row['workers']} workers", row["seconds"] / 3600, "h") for row in model]
     rows += [(f"efficiency on {row['workers']} workers", row["efficiency"], "") for row in model]
     return [{"suite": "farm", "case": case, "value": value, "unit": unit} for case, value, unit in rows]
@@ -84,29 +101,79 @@ def _constants(file: Path, size: tuple[int, int]) -> dict[str, float]:
     }
 
 
-def _job(file: Path, folder: Path, frames: int, size: tuple[int, int], workers: int) -> float:
-    """Seconds of a job on so many workers with one thread each, once these are warm."""
-    from .farm import job
-    from .farm.parts import OUTPUT, SCENE, Part, frame_parts, identify
+@contextmanager
+def killing(client, every: float):
+    """Kills one of a local cluster's workers each `every` seconds, in turn; yields the process numbers of those killed so far."""
+    killed: list[int] = []
+    over = Event()
 
-    scene, digest, content = identify(str(file))
-    text, pixels = f"1-{frames}", "x".join(map(str, size))
-    folder.mkdir()
-    with job.connected(None, workers) as client:
+    def kill() -> None:
+        while not over.wait(every):
+            alive = [nanny.pid for nanny in client.cluster.workers.values() if nanny.pid]
+            if alive:
+                killed.append(alive[len(killed) % len(alive)])
+                with suppress(ProcessLookupError):  # it has just gone by itself
+                    os.kill(killed[-1], signal.SIGKILL)
 
-        def parts(runs: list[tuple[int, ...]]) -> list[Part]:
-            name = job.job_name()
-            common = ("render", SCENE, "-o", f"{OUTPUT}/f.exr", "--size", pixels, "--threads", "1", "--frames", text, "--part")
-            return [Part(f"{name}-{run[0]}", (*common, f"{run[0]}-{run[-1]}"), scene, digest, len(run)) for run in runs]
+    killer = Thread(target=kill)
+    killer.start()
+    try:
+        yield killed
+    finally:
+        over.set()
+        killer.join()
 
-        warm = [(1,)] * workers
-        for runs in (warm, frame_parts(range(1, frames + 1), workers)):
+
+@dataclass(frozen=True)
+class _Farm:
+    """One job, the frames of a file, done again and again: each run into its own folder under `root`, by workers of one thread each."""
+
+    file: Path
+    root: Path
+    frames: int
+    size: tuple[int, int]
+    options: tuple[str, ...] = ()
+
+    def run(self, name: str, workers: int, every: float = math.inf) -> tuple[float, int]:
+        """Seconds by so many workers, once these are warm, and how many were killed, one each `every` seconds."""
+        from .farm import job
+        from .farm.parts import frame_parts, identify
+
+        scene, digest, content = identify(str(self.file))
+        folder = self.root / name
+        folder.mkdir()
+
+        def work(client, runs: list[tuple[int, ...]]) -> float:
             begin = perf_counter()
-            for part, result in job.Job(client, parts(runs), content).results(lambda line: None):
-                for name, data in result["files"].items():
-                    write_whole(folder / f"{part.key}-{name}", lambda temporary, data=data: temporary.write_bytes(data))
-            seconds = perf_counter() - begin
-    return seconds
+            parts = [self._part(job.job_name(), run, scene, digest) for run in runs]
+            for _, result in job.Job(client, parts, content).results(lambda line: None):
+                for file, data in result["files"].items():
+                    write_whole(folder / file, lambda temporary, data=data: temporary.write_bytes(data))
+            return perf_counter() - begin
+
+        with job.connected(None, workers) as client:
+            work(client, [(1,)] * workers)
+            runs = frame_parts(range(1, self.frames + 1), workers)
+            if every == math.inf:
+                return work(client, runs), 0
+            with killing(client, every) as killed:
+                return work(client, runs), len(killed)
+
+    def _part(self, name: str, run: tuple[int, ...], scene: str, digest: str | None):
+        from .farm.parts import OUTPUT, SCENE, Part
+
+        size = "x".join(map(str, self.size))
+        argv = ("render", SCENE, "-o", f"{OUTPUT}/f.exr", "--size", size, "--threads", "1", *self.options)
+        return Part(f"{name}-{run[0]}", (*argv, "--frames", f"1-{self.frames}", "--part", f"{run[0]}-{run[-1]}"), scene, digest, len(run))
+
+    def same(self, ours: str, theirs: str) -> int:
+        """How many frames of two runs have the same bits in all layers."""
+
+        def alike(file: str) -> bool:
+            a, b = (read_exr(self.root / name / file) for name in (ours, theirs))
+            return set(a) == set(b) and all(np.array_equal(a[layer], b[layer], equal_nan=True) for layer in a)
+
+        return sum(alike(f"f{number:04d}.exr") for number in range(1, self.frames + 1))
 
 
 def _plot(path: Path, model: list[dict]) -> None:

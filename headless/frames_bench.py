@@ -6,6 +6,8 @@ apart as `error` (relMSE).  The reference is Cycles with many samples, each fram
 from two halves, is taken off.
 
 Rows: `frames`, cases MOVE/CONTESTANT/MEASURE, each with the contestant's figure and ours as the peer's, and the cost of a frame.
+Row `Cycles + OIDN at our error`: the time a frame of Cycles with as many samples as give the sequence's relMSE, between those measured
+on a few frames, evenly spread (`EQUAL_FRAMES`, `EQUAL_SAMPLES`), on logarithmic axes; beyond the last of them a bound.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from time import process_time
 
@@ -35,6 +38,7 @@ SIZE, FRAMES, REFERENCE_SAMPLES = (320, 180), 60, 512
 LAYERS = ("Indirect", "Combined")
 MOVES = ("camera", "lamp")
 MOST_SAMPLES = 512
+EQUAL_FRAMES, EQUAL_SAMPLES = 6, (1, 4, 16, 64)  # of Cycles' curve of time against error
 
 
 @dataclass
@@ -101,7 +105,9 @@ def frames_rows(
             alone = _ours(built, size, frames, SequenceSettings(history=0), "independent")
             ours = _ours(built, size, frames, SequenceSettings(), "sequence")
             peers = [_equal_time(built, size, frames, ours, denoiser, animated) for animated in (False, True)]
+            curve = _curve(built, size, frames, halves, denoiser)
         rows += _rows(move, ours, [alone, *peers], halves)
+        rows += _equal_error(move, ours, halves, curve)
         write_animation(folder / f"frames-{move}.webp", [peers[0], alone, ours])
     return rows
 
@@ -119,10 +125,10 @@ def _ours(scene: bpy.types.Scene, size, frames: int, shared: SequenceSettings, n
     return found
 
 
-def _cycles(scene, size, frames: int, samples: int, seed: Callable[[int], int], denoiser: Denoiser | None) -> Contestant:
+def _cycles(scene, size, frames: int | Sequence[int], samples: int, seed: Callable[[int], int], denoiser: Denoiser | None) -> Contestant:
     found = Contestant("cycles+oidn" if denoiser else "reference")
     request = ReferenceSettings(spp=samples, size=size, denoise=denoiser is not None)
-    for number in range(1, frames + 1):
+    for number in range(1, frames + 1) if isinstance(frames, int) else frames:
         begin = process_time()
         layers, stats = render_layers(scene, replace(request, frame=number, seed=seed(number)), denoiser=denoiser)
         found.add(layers, stats["seconds_total"], process_time() - begin)
@@ -138,6 +144,46 @@ def _equal_time(scene, size, frames: int, ours: Contestant, denoiser: Denoiser, 
     found = _cycles(scene, size, frames, samples, (lambda f: 104729 * f) if animated else (lambda f: 1), denoiser)
     found.name += f", {samples} spp, {'a seed a frame' if animated else 'one seed'}"
     return found
+
+
+def _picked(frames: int) -> list[int]:
+    """Numbers of the frames that Cycles' curve is measured on."""
+    return sorted({round(k) for k in np.linspace(1, frames, min(frames, EQUAL_FRAMES))})
+
+
+def _of_picked(several: list[Contestant]) -> tuple[np.ndarray, ...]:
+    """Their indirect light in those frames."""
+    return tuple(one.stack("Indirect")[np.array(_picked(len(one.layers))) - 1] for one in several)
+
+
+def _curve(scene, size, frames: int, halves: list[Contestant], denoiser: Denoiser) -> list[tuple[float, float]]:
+    """Seconds a frame and relMSE of the indirect light of Cycles + OIDN, by growing samples."""
+    picked = _picked(frames)
+    pair = _of_picked(halves)
+    found = [_cycles(scene, size, picked, samples, lambda f: 104729 * f, denoiser) for samples in EQUAL_SAMPLES]
+    return [(statistics.median(one.seconds), error(one.stack("Indirect"), pair)) for one in found]
+
+
+def seconds_at(curve: list[tuple[float, float]], wanted: float) -> tuple[float, str]:
+    """Seconds at which a curve of (seconds, error) reaches an error, and '<' or '>' where it lies beyond its ends."""
+    for (before, worse), (after, better) in pairwise(curve):
+        if worse > wanted >= better:
+            share = np.log(worse / wanted) / np.log(worse / max(better, 1e-12))
+            return float(before * (after / before) ** share), ""
+    return (curve[0][0], "<") if wanted >= curve[0][1] else (curve[-1][0], ">")
+
+
+def _equal_error(move: str, ours: Contestant, halves: list[Contestant], curve: list[tuple[float, float]]) -> list[dict]:
+    """What a frame costs in Cycles at the sequence's error, and the points of its curve."""
+    mine = statistics.median(ours.seconds[1:] or ours.seconds)
+    wanted = error(*_of_picked([ours]), _of_picked(halves))
+    seconds, bound = seconds_at(curve, wanted)
+    row = {"case": f"{move}, Cycles + OIDN at our error: time a frame", "value": seconds, "unit": "s", "peer_value": mine}
+    rows = [row | {"ratio": mine / seconds, "bound": bound}]
+    for samples, (time, found) in zip(EQUAL_SAMPLES, curve):
+        case = f"{move}, Cycles + OIDN, {samples} spp, {time:.3g} s a frame: relMSE of Indirect"
+        rows.append({"case": case, "value": found, "unit": "", "peer_value": wanted, "ratio": wanted / found})
+    return [{"suite": "frames", **row} for row in rows]
 
 
 def _rows(move: str, ours: Contestant, others: list[Contestant], halves: list[Contestant]) -> list[dict]:

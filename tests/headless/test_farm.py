@@ -3,7 +3,9 @@
 import json
 import os
 import signal
+import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -18,6 +20,7 @@ from lumigate.headless import arguments
 from lumigate.headless.cli import main
 from lumigate.headless.farm import job, parts
 from lumigate.headless.farm.worker import FarmError, FarmWorker, command_line, do_part, versions
+from lumigate.headless.farm_bench import killing
 
 SMALL = ["--vpls", "16", "--pixel-samples", "2", "--bounces", "2", "--no-denoise", "--threads", "1"]
 FRAMES = ["--frames", "1-6", "--history", "1", "--size", "24x16", *SMALL]
@@ -180,3 +183,11 @@ def test_sample_scenes_need_no_file():
     assert parts.identify("cornell") == ("cornell", None, None)
     assert issubclass(FarmWorker, object)
     assert not issubclass(FarmError, SceneError)  # it must be unpickled wherever it arrives
+
+
+def test_a_benchmark_kills_its_workers_one_after_the_other():
+    victims = [subprocess.Popen(["sleep", "600"]) for _ in range(2)]
+    nannies = {k: SimpleNamespace(pid=victim.pid) for k, victim in enumerate(victims)}
+    with killing(SimpleNamespace(cluster=SimpleNamespace(workers=nannies)), 0.05) as killed:
+        assert [victim.wait(timeout=30) for victim in victims] == [-signal.SIGKILL] * 2
+    assert set(killed) <= {victim.pid for victim in victims}

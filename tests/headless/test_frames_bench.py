@@ -48,11 +48,22 @@ def test_rows_of_a_small_run(tmp_path, monkeypatch):
 
     monkeypatch.setattr(frames_bench, "sample_scenes", type("Scenes", (), {"build": staticmethod(small)}))
     monkeypatch.setattr(frames_bench, "MOST_SAMPLES", 2)
+    monkeypatch.setattr(frames_bench, "EQUAL_SAMPLES", (1, 2))
     rows = frames_bench.frames_rows(tmp_path, size=(32, 24), frames=3, reference_samples=4, moves=("camera",))
     cases = [row["case"] for row in rows]
     assert "camera, sequence: temporal error of Indirect" in cases
     assert sum("cycles+oidn" in case for case in cases) == 12
     assert all(np.isfinite(row["value"]) for row in rows)
+    (equal,) = [row for row in rows if "at our error" in row["case"]]
+    assert equal["ratio"] == pytest.approx(equal["peer_value"] / equal["value"])
+
+
+def test_time_to_an_error_lies_on_the_curve():
+    curve = [(1.0, 0.4), (2.0, 0.1), (8.0, 0.05)]
+    assert frames_bench.seconds_at(curve, 0.2) == (pytest.approx(2**0.5), "")
+    assert frames_bench.seconds_at(curve, 0.05) == (pytest.approx(8.0), "")
+    assert frames_bench.seconds_at(curve, 0.01) == (8.0, ">")
+    assert frames_bench.seconds_at(curve, 0.5) == (1.0, "<")
 
 
 def test_animation_is_small(tmp_path):
