@@ -51,9 +51,13 @@ def render_fitting(
     *,
     extraction_seconds: float = 0.0,
     topologies: Topologies = IN_MEMORY,
+    side: int | None = None,
 ) -> RenderResult:
-    """`core.pipeline.render`, in tiles where the picture does not fit into memory; a time budget is shared by them."""
-    cut = fitting_tiles(scene, settings)
+    """`core.pipeline.render`, in tiles where the picture does not fit into memory; a time budget is shared by them.
+
+    side: pixels along a side of tiles that are wanted, whatever the memory.
+    """
+    cut = fitting_tiles(scene, settings) if side is None else list(tiles(scene.camera.border, side))
     if not cut:
         return render(scene, settings, progress, extraction_seconds=extraction_seconds, topologies=topologies)
     if settings.time_budget is not None:
@@ -69,7 +73,8 @@ def render_fitting(
         stats.append(part.stats)
     note = f"the picture does not fit into memory: it was rendered in {len(cut)} tiles, each with light samples of its own"
     whole = _together(stats) | {"size": [border[2] - border[0], border[3] - border[1]], "tiles": len(cut)}
-    whole["warnings"] = [*whole["warnings"], note]
+    if side is None:
+        whole["warnings"] = [*whole["warnings"], note]
     return RenderResult(mosaic.picture(), whole)
 
 

@@ -238,6 +238,7 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     add_sequence(render, output_file)
     render.add_argument("--stats", type=output_file(".json"), metavar="FILE.json", help="write times, ray counts and warnings")
     render.add_argument("--border", type=border, metavar="X0,Y0,X1,Y1", help="this part of the picture only, in pixels from the top left")
+    render.add_argument("--tiles", type=count, metavar="N", help="in tiles of N pixels along a side: with the bits of a farm's")
 
     farm = commands.add_parser("farm", help="frames, tiles or lightmaps on many machines; takes the options of render and bake, too")
     _add_scene(farm, False)
@@ -404,6 +405,8 @@ def parse(argv: list[str] | None = None, *, in_blender: bool = False) -> argpars
         arguments.settings = _render_settings(parser, vars(arguments))
     if arguments.command == "render":
         arguments.sequence = sequence_settings(parser, arguments)
+        if arguments.tiles is not None and arguments.frames is not None:
+            parser.error("--tiles is for one still, not for --frames")
     if arguments.command == "farm":
         finish_farm(parser, arguments, rest, parse)
     if arguments.command == "bench":

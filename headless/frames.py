@@ -54,14 +54,17 @@ class Frame:
     stats: dict
 
 
-def render_frame(scene: bpy.types.Scene, view: View, settings: RenderSettings, terminal: Terminal) -> Frame:
-    """Extract and render `scene`; the time of both is in the statistics, Numba's compile time apart under `seconds.jit`."""
+def render_frame(scene: bpy.types.Scene, view: View, settings: RenderSettings, terminal: Terminal, tiles: int | None = None) -> Frame:
+    """Extract and render `scene`; the time of both is in the statistics, Numba's compile time apart under `seconds.jit`.
+
+    tiles: pixels along their side, where the picture is wanted in tiles.
+    """
     with CompileTimer() as compiling:
         begin = perf_counter()
         arrays = view.extract(scene)
         seconds = perf_counter() - begin - compiling.seconds
     with terminal.progress() as progress:
-        result = render_fitting(arrays, settings, progress, extraction_seconds=seconds, topologies=TOPOLOGIES)
+        result = render_fitting(arrays, settings, progress, extraction_seconds=seconds, topologies=TOPOLOGIES, side=tiles)
     result.stats["seconds"]["jit"] += compiling.seconds
     return Frame(arrays, result.layers, result.stats)
 

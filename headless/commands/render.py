@@ -26,7 +26,7 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     if arguments.scene_film:
         arguments.settings = replace(arguments.settings, film=extract_film(scene))
     if arguments.frames is None:
-        _save(render_frame(scene, view, arguments.settings, terminal), arguments.output, arguments.stats, terminal)
+        _save(render_frame(scene, view, arguments.settings, terminal, arguments.tiles), arguments.output, arguments.stats, terminal)
     else:
         _render_frames(scene, Shot(arguments.frames, view, arguments.settings, arguments.sequence), arguments, terminal)
 

@@ -173,6 +173,12 @@ def test_options_of_sequences_need_frames(extra, capsys):
     assert f"{extra[0]} belongs to --frames" in capsys.readouterr().err
 
 
+def test_frames_are_not_cut_into_tiles(capsys):
+    with pytest.raises(SystemExit):
+        arguments.parse(["render", "cornell", "-o", "x.exr", "--frames", "1-2", "--tiles", "64"])
+    assert "--tiles is for one still" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("text", ["1-6:0", "6-1", "1-", "a-b"])
 def test_bad_ranges_are_told(text, capsys):
     with pytest.raises(SystemExit):
