@@ -19,6 +19,7 @@ from lumigate.core.surfaces.layout import TRANSPARENCY
 from lumigate.core.surfaces.textures import box_weights
 from lumigate.core.view.corners import view_corners
 from lumigate.core.view.primary import view
+from lumigate.core.vpl_pool import UNSEEN, contributions, resample
 from lumigate.headless.stress import arrays, rooms
 
 F = np.float32
@@ -124,3 +125,29 @@ def test_contents_of_the_room():
     assert (held["triangles"], held["materials"]["count"], held["lamps"]["point"]) == (24, 4, 1)
     np.testing.assert_allclose(held["extent_m"], 2.0, rtol=1e-3)
     np.testing.assert_allclose(held["flux_w"], 4 * np.pi, rtol=1e-5)  # of 1 W/sr everywhere
+
+
+def test_what_lights_give_to_a_view_is_the_sum_of_their_geometry_terms():
+    # In an empty box every light is seen from everywhere.
+    walls = arrays.geometry(*arrays.box((-1, -1, -1), (1, 1, 1)))
+    scene = arrays.scene(walls, arrays.materials((0.5, 0.0)), lamps=rooms.bulb(), camera=rooms.view(size=(4, 3)))
+    g_max = 0.5
+    with prepared(Run(None), scene, rooms.SETTINGS, 1) as tables:
+        points = view(scene, tables.rays, world_tables(scene.world), 1, 1, 1).points
+        vpls, _ = trace_particles(tables, 8, 1, 1, 1)
+        found, _ = contributions(tables, vpls, points, g_max, 1, 1)
+    d = vpls.position[:, None].astype(float) - points.position[None]
+    cosines = np.maximum((d * points.ns).sum(-1), 0) * np.maximum(-(d * vpls.normal[:, None]).sum(-1), 0)
+    terms = np.minimum(cosines / np.maximum((d * d).sum(-1) ** 2, 1e-30), g_max).sum(1) * vpls.flux.mean(axis=1)
+    np.testing.assert_allclose(found[terms > 1e-9], (terms * (1 + UNSEEN))[terms > 1e-9], rtol=1e-4)
+    assert (terms > 1e-9).sum() > 3
+
+
+def test_fewer_lights_carry_the_light_of_all(lit):
+    tables, _ = lit
+    vpls, _ = trace_particles(tables, 40, 2, 1, 1)
+    importance = np.random.default_rng(1).random(len(vpls.bounce)) ** 4
+    kept = [resample(vpls, importance, 12, seed) for seed in range(400)]
+    assert max(len(some.bounce) for some in kept) <= 12
+    mean = np.mean([some.flux.sum(axis=0, dtype=float) for some in kept], axis=0)
+    np.testing.assert_allclose(mean, vpls.flux.sum(axis=0, dtype=float), rtol=0.03)
