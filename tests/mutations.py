@@ -2,8 +2,8 @@
 
     python tests/mutations.py [NAME ...]
 
-A mutation that fewer than `ENOUGH` test functions catch ends the script with status 1.  Each one compiles what it
-touches anew (minutes), so that CI does not run this.
+A mutation that fewer than `ENOUGH` test functions catch ends the script with status 1.  The tests are small ones, in plain
+Python (`plain.py`): nothing has to be compiled.  A few minutes, and not part of CI.
 """
 
 from __future__ import annotations
@@ -17,8 +17,12 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from plain import COVERAGE_CORE
+
 ROOT = Path(__file__).resolve().parents[1]
 ENOUGH = 3  # test functions that must fail
+SECONDS = 600  # that no test needs: one that is cut off counts as failed
+SMALL = ("test_small_kernels.py", "test_small_pictures.py")
 
 
 @dataclass(frozen=True)
@@ -36,19 +40,19 @@ MUTATIONS = {
         "core/methods/instant_radiosity.py",
         "at_light = max(_0, -(nx * dx + ny * dy + nz * dz))",
         "at_light = abs(nx * dx + ny * dy + nz * dz) + np.float32(0.2)",
-        ("test_instant_radiosity.py", "test_methods.py", "test_stress.py"),
+        SMALL,
     ),
     "a dropped 1/pi": Mutation(
         "core/methods/instant_radiosity.py",
         "_INV_PI = np.float32(1.0 / np.pi)",
         "_INV_PI = np.float32(1.0)",
-        ("test_instant_radiosity.py", "test_methods.py", "test_stress.py"),
+        SMALL,
     ),
     "an off-by-one in the last packet": Mutation(
         "core/rays/scene.py",
         "count = min(pk.WIDTH, n - begin)",
         "count = min(pk.WIDTH, n - begin - 1)",
-        ("test_rays_agree.py", "test_rays_scene.py", "test_rays_offsets.py"),
+        ("test_rays_scene.py", "test_rays_agree.py"),
     ),
 }
 
@@ -69,17 +73,9 @@ def failing(mutation: Mutation) -> list[str]:
     """Test functions that fail on the mutated core, each once; a test file that cannot be imported is none."""
     with tempfile.TemporaryDirectory() as folder:
         package = mutate(Path(folder), mutation)
-        environment = os.environ | {"PYTHONPATH": folder, "NUMBA_CACHE_DIR": str(Path(folder) / "cache")}
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-q",
-            "--tb=no",
-            "-p",
-            "no:cacheprovider",
-            *(f"tests/core/{name}" for name in mutation.tests),
-        ]
+        environment = os.environ | {"PYTHONPATH": folder, "NUMBA_DISABLE_JIT": "1", "COVERAGE_CORE": COVERAGE_CORE}
+        limits = ["--seconds", str(SECONDS), "--data", str(Path(folder) / "coverage")]
+        command = [sys.executable, "tests/plain.py", *limits, *(f"tests/core/{name}" for name in mutation.tests)]
         result = subprocess.run(command, cwd=package, env=environment, capture_output=True, text=True, check=False)
     return sorted(set(re.findall(r"^FAILED \S+?::(\w+)", result.stdout, re.MULTILINE)))
 
