@@ -151,3 +151,18 @@ def test_fewer_lights_carry_the_light_of_all(lit):
     assert max(len(some.bounce) for some in kept) <= 12
     mean = np.mean([some.flux.sum(axis=0, dtype=float) for some in kept], axis=0)
     np.testing.assert_allclose(mean, vpls.flux.sum(axis=0, dtype=float), rtol=0.03)
+
+
+def test_vpls_shine_by_the_float64_sum_of_all_pairs():
+    walls = arrays.geometry(*arrays.box((-1, -1, -1), (1, 1, 1)))
+    scene = arrays.scene(walls, arrays.materials((0.5, 0.0)), lamps=rooms.bulb(), camera=rooms.view(size=(4, 3)))
+    with prepared(Run(None), scene, rooms.SETTINGS, 1) as tables:
+        points = view(scene, tables.rays, world_tables(scene.world), 1, 1, 1).points
+        vpls, _ = trace_particles(tables, 16, 1, 1, 1)
+        solver = InstantRadiosity(compensation=0, threads=1)
+        solver.prepare(tables, vpls, points)
+        found = solver.irradiance(points)
+    d = vpls.position[None].astype(float) - points.position[:, None]
+    cosines = np.maximum((d * points.ns[:, None]).sum(-1), 0) * np.maximum(-(d * vpls.normal).sum(-1), 0)
+    terms = np.minimum(cosines / np.maximum((d * d).sum(-1) ** 2, 1e-30), float(solver.g_max))
+    np.testing.assert_allclose(found, terms @ vpls.flux.astype(float) / np.pi, rtol=1e-4, atol=1e-7)

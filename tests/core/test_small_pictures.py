@@ -14,9 +14,9 @@ from lumigate.headless.stress import arrays, rooms
 from lumigate.headless.stress.path_tracer import path_traced
 
 SIZE = (4, 3)
-PATHS = 500  # of the oracle: its standard error is a twentieth of the indirect light
+PATHS = 1500  # of the oracle: its standard error is a thirtieth of the indirect light
 SETTINGS = RenderSettings(
-    vpls=16, bounces=2, pixel_samples=1, direct_samples=2, samples=4, gather=2, reflections=1, vals=1, voxels=16, vpl_clusters=4,
+    vpls=128, bounces=2, pixel_samples=1, direct_samples=2, samples=4, gather=2, reflections=1, vals=1, voxels=16, vpl_clusters=4,
     point_clusters=4, fuzziness=2, interleave=2, denoise=False, threads=1, seed=3,
 )  # fmt: skip
 WAYS = {
@@ -54,7 +54,7 @@ def truth(room):
 def test_the_light_is_the_path_tracers(room, truth, way):
     mean, error = truth
     found = radiance(room, **WAYS[way])
-    assert np.all(np.abs(found - mean) < 4 * error + (0.15, 0.25) * mean), (found, mean, error)
+    assert np.all(np.abs(found - mean) < 3 * error + (0.05, 0.12) * mean), (found, mean, error)
 
 
 def test_shadow_maps_see_what_shadow_rays_see(room):
@@ -90,8 +90,8 @@ def test_the_light_of_every_lamp_is_the_path_tracers(changes):
     scene = yard()
     mean, variance = path_traced(scene, SETTINGS.bounces, PATHS, 1)
     scene.world.radiance = np.repeat(np.repeat(scene.world.radiance, 4, 0), 8, 1)  # an image for the core, which samples it
-    found = radiance(scene, **({"method": "instant-radiosity", "direct_samples": 8, "vpls": 32} | changes))
-    assert np.all(np.abs(found - mean) < 4 * variance**0.5 + (0.1, 0.25) * mean), (found, mean, variance**0.5)
+    found = radiance(scene, **({"method": "instant-radiosity", "direct_samples": 8} | changes))
+    assert np.all(np.abs(found - mean) < 3 * variance**0.5 + (0.12, 0.12) * mean), (found, mean, variance**0.5)
 
 
 @pytest.mark.parametrize("method", ["instant-radiosity", "importance-sampling"])
@@ -114,7 +114,7 @@ def test_a_pane_of_nothing_changes_nothing(room, way):
     tables = scene.materials.tables
     tables.constant[4, TRANSPARENCY : TRANSPARENCY + 3] = 1
     tables.flags[4] |= sc.TRANSPARENT
-    np.testing.assert_allclose(radiance(scene, **WAYS[way]), radiance(room, **WAYS[way]), rtol=(0.01, 0.3)[way != "shadow rays"])
+    np.testing.assert_allclose(radiance(scene, **WAYS[way]), radiance(room, **WAYS[way]), rtol=0.15)
 
 
 def test_the_lights_of_groups_add_up(room):
