@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -129,7 +130,7 @@ class Picture:
             return np.where(self.albedo > 0, np.float32(np.pi) * self.diffuse_indirect / self.albedo, np.float32(0))
 
     def denoised(self, denoiser: Denoiser, threads: int, *, direct: bool = True) -> Picture:
-        """Without noise: the diffuse indirect light free of albedo, so that textures and edges stay as sharp as they were.
+        """Without noise.  The guides have next to none themselves, and what they show stays as sharp as it is.
 
         direct: whether direct light, too.
         """
@@ -139,13 +140,20 @@ class Picture:
 
         found = {}
         if self.diffuse_indirect.any() and not self.smooth:
-            diffuse = np.where(self.albedo > 0, cleaned(self.irradiance), np.float32(0)) * self.albedo * np.float32(1 / np.pi)
-            # What counts is the mean of the picture, not of the irradiance.
-            found["diffuse_indirect"] = mean_factor(self.diffuse_indirect, diffuse) * diffuse
-        for name in ("glossy_indirect", "direct") if direct else ("glossy_indirect",):
-            if getattr(self, name).any():
-                found[name] = cleaned(getattr(self, name), preserve_mean=True)
+            found["diffuse_indirect"] = self._diffuse_cleaned(denoiser, cleaned)
+        if self.glossy_indirect.any():
+            found["glossy_indirect"] = cleaned(self.glossy_indirect, preserve_mean=True, clean_aux=True)
+        if direct and self.direct.any():
+            found["direct"] = cleaned(self.direct, preserve_mean=True)
         return replace(self, **found)
+
+    def _diffuse_cleaned(self, denoiser: Denoiser, cleaned: Callable[..., np.ndarray]) -> np.ndarray:
+        """The diffuse indirect light without noise: a blur keeps textures only where it is free of albedo."""
+        if denoiser.available:
+            return cleaned(self.diffuse_indirect, preserve_mean=True, clean_aux=True) * (self.albedo > 0)
+        diffuse = np.where(self.albedo > 0, cleaned(self.irradiance), np.float32(0)) * self.albedo * np.float32(1 / np.pi)
+        # What counts is the mean of the picture, not of the irradiance.
+        return mean_factor(self.diffuse_indirect, diffuse) * diffuse
 
     def shared_out(self, denoiser: Denoiser, threads: int) -> Picture:
         """With the groups' light as free of noise as the whole, which they add up to still.
@@ -215,12 +223,12 @@ def nearest_triangles(seen: View) -> np.ndarray:
 
 
 def denoising_guides(seen: View) -> tuple[np.ndarray, np.ndarray]:
-    """Albedo and normal (H, W, 3) that tell the denoiser where edges are: where there is glass, those of what it shows."""
+    """Albedo and mean normal (H, W, 3) that tell the denoiser where edges are: where there is glass, those of what it shows."""
     behind = seen.points.take(seen.points.behind_glass > 0)
     if len(behind.pixel) == 0:
-        return seen.albedo, seen.normal
+        return seen.albedo, seen.mean_normal
     through = splat(behind, behind.albedo, seen.shape)
     shown = behind.albedo.mean(axis=1, keepdims=True)
-    normal = seen.albedo.mean(axis=2, keepdims=True) * seen.normal + splat(behind, shown * behind.ns, seen.shape)
+    normal = seen.albedo.mean(axis=2, keepdims=True) * seen.mean_normal + splat(behind, shown * behind.ns, seen.shape)
     length = np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), np.float32(1e-9))
-    return seen.albedo + through, np.where(through.any(axis=2, keepdims=True), normal / length, seen.normal)
+    return seen.albedo + through, np.where(through.any(axis=2, keepdims=True), normal / length, seen.mean_normal)

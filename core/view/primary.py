@@ -57,7 +57,7 @@ SAME_NORMAL = np.float32(0.9)
 SAME_PLANE = np.float32(0.5)
 SAME_REACH = np.float32(3.0)
 # Columns of the pixels' layers; what is emitted by each light group, behind no glass, one surface of it, and more, comes last.
-ALBEDO, NORMALS, POSITION, DEPTH, CLEAR, EMITTED = 0, 3, 6, 9, 10, 11
+ALBEDO, NORMALS, MEAN_NORMALS, POSITION, DEPTH, CLEAR, EMITTED = 0, 3, 6, 9, 12, 13, 14
 GLASS = 3  # kinds of what is emitted: behind no glass, one surface of it, and more
 # Bits of the way that a sample takes at a surface: it shows it, passes straight through, passes through glass.
 SHOWN, STRAIGHT, REFRACTED = 1, 2, 4
@@ -70,6 +70,7 @@ class View:
     """What the camera sees of a scene, before any light but that of surfaces, lamps and world themselves.
 
     albedo, normal, position: (H, W, 3);  depth: (H, W); all float32.  Where there is glass they are the pane's.
+    mean_normal: (H, W, 3) float32, of all samples; `normal`, position and depth are those of the nearest one.
     clear: (H, W) float32, the part of each pixel in which the camera sees the world, behind no glass.
     emitted: (G, 3, H, W, 3) float32, light of each light group that is emitted behind no glass, one surface of it, and more.
     points: the shading points, whose `pixel` counts row-major over H x W.  rays: primary rays traced.
@@ -77,6 +78,7 @@ class View:
 
     albedo: np.ndarray
     normal: np.ndarray
+    mean_normal: np.ndarray
     position: np.ndarray
     depth: np.ndarray
     clear: np.ndarray
@@ -371,6 +373,10 @@ def _view_tiles(
                     out[ALBEDO] += ar
                     out[ALBEDO + 1] += ag
                     out[ALBEDO + 2] += ab
+                    part = (wr + wg + wb) * np.float32(1 / 3)
+                    out[MEAN_NORMALS] += part * sx
+                    out[MEAN_NORMALS + 1] += part * sy
+                    out[MEAN_NORMALS + 2] += part * sz
                 emitted = before + 3 * GLASS * light_group[object_of[triangle]]
                 out[emitted] += wr * surface[EMISSION]
                 out[emitted + 1] += wg * surface[EMISSION + 1]
@@ -480,7 +486,7 @@ def view(
     shaped = layers.reshape(height, width, -1)
     emitted = shaped[..., EMITTED:].reshape(height, width, len(groups.names), GLASS, 3)
     return View(
-        *(np.ascontiguousarray(shaped[..., at : at + 3]) for at in (ALBEDO, NORMALS, POSITION)),
+        *(np.ascontiguousarray(shaped[..., at : at + 3]) for at in (ALBEDO, NORMALS, MEAN_NORMALS, POSITION)),
         *(np.ascontiguousarray(shaped[..., at]) for at in (DEPTH, CLEAR)),
         np.ascontiguousarray(emitted.transpose(2, 3, 0, 1, 4)),
         ShadingPoints.concatenate([part for part, _ in parts]),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lumigate.core import denoise as dn
+from lumigate.core.picture import Picture
 from lumigate.core.threads import Cancelled
 
 
@@ -52,6 +53,20 @@ def test_noise_goes_and_the_edge_stays(denoiser):
     assert error(clean, true) < error(noisy, true) / 50  # measured: 1/200
     edge = slice(62, 66)
     assert error(clean[:, edge], true[:, edge]) < error(noisy[:, edge], true[:, edge]) / 10  # measured: 1/34
+
+
+@pytest.mark.parametrize("name", ["denoiser", "blurrer"])
+def test_textures_stay_as_sharp_as_they_were(name, request):
+    y, x = np.mgrid[:96, :128]
+    albedo = np.float32(0.1) + np.float32(0.7) * ((x // 3 + y // 3) % 2).astype(np.float32)[..., None] * np.ones(3, np.float32)
+    true = albedo / np.float32(np.pi)
+    raw = (true * np.random.default_rng(3).gamma(4, 0.25, true.shape)).astype(np.float32)
+    none, normal = np.zeros_like(raw), np.broadcast_to(np.float32([0, 0, 1]), raw.shape)
+    position = np.dstack([x, y, 0 * x]).astype(np.float32)
+    noisy = Picture(none, raw, none, albedo, none, normal, albedo, normal, position, none[..., 0])
+    clean = noisy.denoised(request.getfixturevalue(name), 2).diffuse_indirect
+    assert error(clean, true) < 0.06 * error(raw, true)
+    assert clean.mean() == pytest.approx(raw.mean(), rel=1e-4)
 
 
 def test_same_bits_for_any_number_of_threads_and_calls(denoiser):

@@ -219,3 +219,4 @@ def test_the_denoiser_is_told_what_glass_shows():
     np.testing.assert_allclose(albedo, free.albedo * behind.emission_behind_one, rtol=1e-5)
     np.testing.assert_allclose(normal, free.normal, atol=1e-5)
     assert denoising_guides(free)[0] is free.albedo
+    assert denoising_guides(free)[1] is free.mean_normal
