@@ -29,7 +29,7 @@ TASKS = 1000
 SIZE, FRAMES = (320, 180), 16
 KILLED_EACH = 10.0  # s, in the run whose workers are killed
 # Of that run: parts that take less time than a worker lives, its start and Blender's in it.
-SMALL, SMALL_FRAMES, SMALL_OPTIONS = (64, 36), 48, ("--history", "1", "--vpls", "512", "--pixel-samples", "4")
+SMALL, SMALL_FRAMES, SMALL_OPTIONS = (64, 36), 240, ("--history", "1", "--vpls", "512", "--pixel-samples", "4")
 
 
 def farm_rows(folder: Path, frames: int = FRAMES, size: tuple[int, int] = SIZE) -> list[dict]:
@@ -154,11 +154,11 @@ class _Farm:
 
         with job.connected(None, workers) as client:
             work(client, [(1,)] * workers)
-            runs = frame_parts(range(1, self.frames + 1), workers)
+            numbers = range(1, self.frames + 1)
             if every == math.inf:
-                return work(client, runs), 0
-            with killing(client, every) as killed:
-                return work(client, runs), len(killed)
+                return work(client, frame_parts(numbers, workers)), 0
+            with killing(client, every) as killed:  # the shortest parts there are: one that outlives its workers is never done
+                return work(client, frame_parts(numbers, self.frames)), len(killed)
 
     def _part(self, name: str, run: tuple[int, ...], scene: str, digest: str | None):
         from .farm.parts import OUTPUT, SCENE, Part

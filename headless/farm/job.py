@@ -75,12 +75,20 @@ class Job:
     def __init__(self, client: Client, parts: Sequence[Part], scene: bytes | None = None):
         self._client = client
         self._expected = versions()
-        self._scene = client.scatter(scene, hash=True) if scene is not None else None
+        self._content, self._scene = scene, None
+        self._send()
         self._done: SimpleQueue[tuple[str, Future]] = SimpleQueue()
         self._took: list[float] = []
         self._running = {part.key: _Running(part) for part in parts}
         for running in self._running.values():
             self._submit(running, running.part.key)
+
+    def _send(self) -> None:
+        """Give the scene's content to a worker, from which the others have it, if none has: the last that had it may be lost."""
+        held = self._scene is not None and self._scene.status == "finished" and self._client.who_has([self._scene])[self._scene.key]
+        if self._content is not None and not held:
+            # A key of its own each time: what is known of a lost one does not stand in its way.
+            self._scene = self._client.scatter(self._content, hash=False)
 
     def _submit(self, running: _Running, key: str, **options) -> None:
         future = self._client.submit(do_part, running.part, self._expected, self._scene, key=key, pure=False, **options)
@@ -128,6 +136,7 @@ class Job:
                 raise SceneError(f"{running.part.key} has lost {TRIES} workers; try it alone, with fewer threads or less memory") from error
             tell(f"{running.part.key}: its worker was lost ({type(error).__name__}); it is tried again")
             running.futures.remove(done)
+            self._send()
             self._submit(running, f"{running.part.key}-try-{running.tries}")
             return None
 

@@ -99,13 +99,13 @@ class Blender:
         return self._process.poll() is None
 
     def ask(self, argv: list[str], wanted) -> dict:
-        """The answer to a command line; FarmError where Blender has ended, or `wanted()` is no longer true."""
+        """The answer to a command line; ConnectionError where Blender has ended, or `wanted()` is no longer true."""
         try:
             self._process.stdin.write(json.dumps(argv) + "\n")
             while not select.select([self._process.stdout], [], [], POLL)[0]:
                 if not wanted():
                     self.close()
-                    raise FarmError("cancelled")
+                    raise ConnectionError("the part is no longer wanted here")  # where it is after all, another try may do
             line = self._process.stdout.readline()
         except OSError:
             line = ""
