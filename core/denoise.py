@@ -110,7 +110,7 @@ class Denoiser:
     """
 
     def __init__(self, library: str | os.PathLike | None = None, quality: str = "high", progress: Progress | None = None):
-        self._quality = QUALITIES[quality]
+        self._quality = quality
         self.progress = progress
         self._stopped = False
         self._monitor = _MONITOR(self._go_on)
@@ -148,6 +148,7 @@ class Denoiser:
         position: np.ndarray | None = None,
         clean_aux: bool = False,
         preserve_mean: bool = False,
+        quality: str | None = None,
         threads: int = 0,
     ) -> np.ndarray:
         """Denoise linear, high-dynamic-range values.
@@ -159,6 +160,7 @@ class Denoiser:
             position: (H, W, 3) m, read only by the blur that stands in.
             clean_aux: the guides have no noise (see `prefilter`); edges in them are then kept sharp.
             preserve_mean: scale each channel so that its mean is the input's (by 1/1.5 to 1.5 at most).
+            quality: for this picture, None for the denoiser's own.  Of clean guides 'high' makes a larger network, at twice the time.
             threads: 0 is all.
 
         Returns:
@@ -181,7 +183,8 @@ class Denoiser:
         if self._lib is None:
             clean = geometry_aware_blur(color, guides.get("normal"), position, guides.get("albedo"), threads=threads)
         else:
-            clean = self._execute({"color": color, **guides}, threads, hdr=True, clean_aux=clean_aux and bool(guides))
+            images = {"color": color, **guides}
+            clean = self._execute(images, threads, hdr=True, clean_aux=clean_aux and bool(guides), quality=quality)
         if not preserve_mean:
             return clean
         return clean * mean_factor(color, clean)
@@ -206,7 +209,9 @@ class Denoiser:
             self._check(device)
         return self._devices[threads]
 
-    def _execute(self, images: dict[str, np.ndarray], threads: int, hdr: bool = False, clean_aux: bool = False) -> np.ndarray:
+    def _execute(
+        self, images: dict[str, np.ndarray], threads: int, hdr: bool = False, clean_aux: bool = False, quality: str | None = None
+    ) -> np.ndarray:
         threads = thread_count(threads)
         rows, columns = next(iter(images.values())).shape[:2]
         pad = _TINY_PADDING if min(rows, columns) < _TINY else _PADDING
@@ -216,12 +221,13 @@ class Denoiser:
         with self._lock:
             device = self._device(threads)
             # One filter a set of images, for another set is another network to load.
-            key = (threads, hdr, clean_aux, *sorted(images))
+            quality = quality or self._quality
+            key = (threads, hdr, clean_aux, quality, *sorted(images))
             if key not in self._filters:
                 self._filters[key] = self._lib.oidnNewFilter(device, b"RT")
                 self._lib.oidnSetFilterBool(self._filters[key], b"hdr", hdr)
                 self._lib.oidnSetFilterBool(self._filters[key], b"cleanAux", clean_aux)
-                self._lib.oidnSetFilterInt(self._filters[key], b"quality", self._quality)
+                self._lib.oidnSetFilterInt(self._filters[key], b"quality", QUALITIES[quality])
                 self._lib.oidnSetFilterProgressMonitorFunction(self._filters[key], self._monitor, None)
             network = self._filters[key]
             for name, image in (*images.items(), ("output", output)):

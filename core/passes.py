@@ -75,5 +75,5 @@ class Passes:
 
     def _clean(self, picture: Picture, denoiser: Denoiser | None) -> np.ndarray:
         """Its indirect light (H, W, 3), denoised if there is a denoiser, in double precision."""
-        clean = picture.denoised(denoiser, self.threads, direct=False) if denoiser else picture
+        clean = picture.denoised(denoiser, self.threads, direct=False, quality="balanced") if denoiser else picture
         return clean.indirect.astype(np.float64)

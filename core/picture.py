@@ -129,14 +129,16 @@ class Picture:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.albedo > 0, np.float32(np.pi) * self.diffuse_indirect / self.albedo, np.float32(0))
 
-    def denoised(self, denoiser: Denoiser, threads: int, *, direct: bool = True) -> Picture:
+    def denoised(self, denoiser: Denoiser, threads: int, *, direct: bool = True, quality: str | None = None) -> Picture:
         """Without noise.  The guides have next to none themselves, and what they show stays as sharp as it is.
 
-        direct: whether direct light, too.
+        direct: whether direct light, too.  quality: as `Denoiser.denoise` has it.
         """
 
         def cleaned(image: np.ndarray, **options) -> np.ndarray:
-            return denoiser.denoise(image, self.guide_albedo, self.guide_normal, position=self.position, threads=threads, **options)
+            return denoiser.denoise(
+                image, self.guide_albedo, self.guide_normal, position=self.position, quality=quality, threads=threads, **options
+            )
 
         found = {}
         if self.diffuse_indirect.any() and not self.smooth:

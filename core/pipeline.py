@@ -39,6 +39,7 @@ from .topology import IN_MEMORY, Topologies
 from .transport import Transport
 from .view.primary import View, view
 
+MANY_RAYS = 16  # a shading point: the default of the accurate method
 LOADED: set[str] = set()  # methods whose kernels this process has in memory, which the first pass of one pays for
 
 
@@ -74,7 +75,7 @@ def render(
     scene = sound(scene) if sequence is None else scene
     denoiser = None
     if settings.denoise:
-        denoiser = Denoiser(quality="fast" if settings.smooth else "high") if sequence is None else sequence.denoiser
+        denoiser = Denoiser() if sequence is None else sequence.denoiser
     try:
         result = _render(scene, settings, denoiser, progress, extraction_seconds, begin, topologies, sequence)
     finally:  # a cancelled render must not leave the library's threads behind
@@ -155,7 +156,8 @@ def _render(
             picture = sequence.developed(picture, threads)
     if denoiser:
         with run.stage("denoise") as denoiser.progress:
-            picture = picture.denoised(denoiser, threads, direct=settings.wants("Direct", "Combined"))
+            quality = denoising_quality(settings, passes.weight)
+            picture = picture.denoised(denoiser, threads, direct=settings.wants("Direct", "Combined"), quality=quality)
     if picture.groups and (denoiser or sequence):  # either has changed the whole
         with closing(Denoiser(quality="fast")) as quick, run.stage("groups") as quick.progress:
             picture = picture.shared_out(quick, threads)
@@ -180,9 +182,18 @@ def _render(
         "rays": run.rays,
         "pairs_shaded": run.pairs,
         "skipped": [vars(s) for s in run.skipped],
+        "savings": run.savings(),
         "warnings": run.warnings,
     }
     return RenderResult(layers, stats)
+
+
+def denoising_quality(settings: RenderSettings, weight: float) -> str:
+    """What OIDN is to spend on a picture of passes of so much weight: in a quick one more of its time is better spent on rays."""
+    if settings.smooth:
+        return "fast"
+    rays = weight * (settings.samples + settings.gather) if settings.method == "importance-sampling" else MANY_RAYS
+    return "fast" if rays < MANY_RAYS else "balanced" if rays <= MANY_RAYS else "high"
 
 
 def _planner(run: Run, settings: RenderSettings, pixels: int, threads: int) -> Planner:
@@ -280,6 +291,7 @@ def _look(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
 
         seen = run.sequence.view(scene, settings, look) if run.sequence else look()
         run.rays["primary"] += seen.rays
+        run.leave_out("pixels", seen.depth.size - len(np.unique(seen.points.pixel)), seen.depth.size)
     return seen
 
 

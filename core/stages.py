@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from .errors import SceneError
-from .inspection import foresee
+from .inspection import foresee, savings
 from .jit import CompileTimer
 from .lamps import Emitters, LightGroups, build_emitters, direct_irradiance, direct_light
 from .methods.area_shadows import area_lamps, direct_by_soft_maps
@@ -44,6 +44,12 @@ TURN = 32452843  # between the seeds of a sequence's turns
 FEW_BATCHES = 4  # of particles, for lights that are clustered: more of them cost time and leave the picture as it is
 CLUSTER_GATHER = 4  # gather rays of a cluster, for each that a point would get: its many points share what they find
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
+# What only a render can count.
+LEFT_OUT = {
+    "pixels": "pixels that show no surface that could be lit",
+    "lamps": "lamps and shining triangles in rooms with no way to what is seen",
+    "vpls": "VPLs behind every visible point",
+}
 
 
 @dataclass
@@ -55,6 +61,8 @@ class Run:
     rays: dict = field(default_factory=lambda: {"primary": 0, "light": 0, "shadow": 0})
     pairs: int = 0
     skipped: list[Skipped] = field(default_factory=list)
+    foreseen: list[dict] = field(default_factory=list)  # `core.inspection.savings` of the scene
+    left_out: dict[str, tuple[int, int]] = field(default_factory=dict)  # by the keys of LEFT_OUT: so many of so many
     warnings: list[str] = field(default_factory=list)
     vpls: int = 0
     clusters: FuzzyClustering | VirtualAreaLights | VisibilityGates | None = None  # whose clusters the debug layers show
@@ -69,6 +77,20 @@ class Run:
         """Note what was left out, once."""
         if Skipped(stage, why) not in self.skipped:
             self.skipped.append(Skipped(stage, why))
+
+    def leave_out(self, stage: str, left: int, of: int) -> None:
+        """Count `left` of `of` things that cost nothing, for `savings`."""
+        before = self.left_out.get(stage, (0, 0))
+        self.left_out[stage] = (before[0] + left, before[1] + of)
+
+    def savings(self) -> list[dict]:
+        """Work that was left out: `core.inspection.savings`, and what only the render could count: `left` of `of` things."""
+        counted = [
+            {"stage": stage, "what": LEFT_OUT[stage], "left": left, "of": of, "share": left / of}
+            for stage, (left, of) in self.left_out.items()
+            if left
+        ]
+        return [*self.foreseen, *counted]
 
     def in_turn(self, settings: RenderSettings) -> bool:
         """Whether frames share work by turns: not where each takes as many passes as it needs."""
@@ -106,6 +128,7 @@ def prepared(run: Run, scene: Scene, settings: RenderSettings, threads: int, top
                 emitters = one_by_one(emitters)
             skipped, warnings = foresee(scene, emitters)
             run.skipped = [*scene.skipped, *skipped]
+            run.foreseen = savings(scene, emitters, settings.direct_samples)
             run.warnings += [*scene.warnings, *warnings]
             tables = transport(scene.geometry, scene.materials.tables, rays.tables, emitters)
         if settings.method == "visibility-gates":
@@ -122,6 +145,7 @@ def one_by_one(emitters: Emitters) -> Emitters:
 def within_reach(run: Run, tables: Transport, points: ShadingPoints) -> Transport:
     """The tables without the light of what lies in rooms that no path joins to those that are seen."""
     kept = reachable_emitters(run.topology, rooms_seen(run.topology, points), tables.emitters)
+    run.leave_out("lamps", np.count_nonzero(~kept), len(kept))
     if kept.all():
         return tables
     run.skip("lamps", f"{np.count_nonzero(~kept)} lamps and shining triangles are in rooms with no way to what is seen")
@@ -248,6 +272,7 @@ def indirect_stage(
             )
         run.rays["light"] += counts["light"]
         run.rays["shadow"] += counts["shadow"]
+        run.leave_out("vpls", counts["useless"], counts["traced"])
         if counts["useless"]:
             run.skip("vpls", f"{counts['useless']} of {counts['traced']} VPLs lie behind every visible point")
     if len(vpls.bounce) == 0 and sampler is None:

@@ -95,4 +95,17 @@ def _together(stats: list[dict]) -> dict:
         for line in (line for one in stats for line in one[name]):
             if line not in whole[name]:
                 whole[name].append(line)
+    whole["savings"] = _savings([line for one in stats for line in one["savings"]])
     return whole
+
+
+def _savings(lines: list[dict]) -> list[dict]:
+    """What all tiles have saved; what tiles have counted adds up."""
+    found: dict[tuple, dict] = {}
+    for line in lines:
+        known = found.get((line["stage"], line["what"]), line)
+        if known is not line and "of" in line:
+            left, of = known["left"] + line["left"], known["of"] + line["of"]
+            line = line | {"left": left, "of": of, "share": left / of}
+        found[line["stage"], line["what"]] = line
+    return list(found.values())

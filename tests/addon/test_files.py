@@ -128,3 +128,36 @@ def test_file_without_faces(tmp_path):
     path.write_text("v 0 0 0\nv 1 0 0\n")
     with pytest.raises(SceneError, match=r"points\.obj' holds no faces"):
         open_scene(path)
+
+
+def marks(path):
+    bpy.context.view_layer.update()
+    return sorted(found.name for found in path.parent.glob("was here*"))
+
+
+@pytest.fixture
+def strangers_file(tmp_path):
+    """A .blend whose registered text and whose driver each write a file, if they may."""
+    mark = tmp_path / "was here"
+    scene = empty()
+    scene.camera = bpy.data.objects.new("Driven", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(scene.camera)
+    text = bpy.data.texts.new("startup.py")
+    text.use_module = True
+    text.write(f"open({str(mark)!r} + ' text', 'w').close()")
+    driver = bpy.data.objects["Driven"].driver_add("location", 0).driver
+    driver.expression = f"len(str(open({str(mark)!r} + ' driver', 'w')))"
+    path = tmp_path / "stranger.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    assert marks(path) == []
+    return path
+
+
+def test_a_file_from_a_stranger_runs_no_code(strangers_file):
+    before = set(strangers_file.parent.iterdir())
+    extract_scene(open_scene(strangers_file), size=(8, 8))
+    assert marks(strangers_file) == [] and set(strangers_file.parent.iterdir()) == before
+    # The same file, trusted, does run it.
+    bpy.ops.wm.open_mainfile(filepath=str(strangers_file), use_scripts=True, load_ui=False)
+    assert "was here text" in marks(strangers_file)
+    empty()

@@ -7,7 +7,7 @@ import pytest
 
 from lumigate.core.passes import UNSEEN, Passes
 from lumigate.core.picture import Picture
-from lumigate.core.pipeline import render
+from lumigate.core.pipeline import denoising_quality, render
 from lumigate.core.settings import RenderSettings
 
 
@@ -90,3 +90,10 @@ def test_smooth_light_is_left_to_its_method():
     for name in ("direct", "glossy_indirect"):
         assert np.array_equal(getattr(clean, name), getattr(rough, name))
         assert not np.array_equal(getattr(clean, name), getattr(clouded, name))
+
+
+def test_the_denoiser_works_the_longer_the_more_rays_there_were():
+    settings = RenderSettings(method="importance-sampling", samples=8, gather=8)
+    assert [denoising_quality(settings, weight) for weight in (0.25, 1, 4)] == ["fast", "balanced", "high"]
+    assert denoising_quality(replace(settings, method="fuzzy-clustering"), 4) == "fast"
+    assert denoising_quality(replace(settings, method="instant-radiosity"), 1) == "balanced"

@@ -66,3 +66,13 @@ def test_what_is_left_out_alone_changes_no_light():
         assert rows[case]["value"] == pytest.approx(rows[case]["peer_value"], rel=share) and rows[case]["value"] > 0
     black = rows["light of black surfaces: mean Indirect"]
     assert black["value"] == 0 and black["peer_value"] < 1e-9
+
+
+def test_savings_are_counted_by_a_render():
+    scene = SCENES["landscape under the sky"](*SIZE)
+    stats = render(scene, replace(WITH, vpls=64)).stats
+    found = {line["stage"]: line for line in stats["savings"]}
+    sky = found["pixels"]
+    assert sky["of"] == SIZE[0] * SIZE[1] and 0 < sky["share"] == sky["left"] / sky["of"] < 1
+    assert found["vpls"]["of"] >= 64
+    json.dumps(stats["savings"])
