@@ -135,11 +135,7 @@ def _prepared(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], reque
     if not 1 <= request.size <= LARGEST_SIDE:
         raise SceneError(f"a lightmap of {request.size} texels a side cannot be made; choose 1 to {LARGEST_SIDE}")
     begin = time.perf_counter()
-    made = [mesh for ob in objects for mesh in ensure_uv([ob], replace(request.unwrap, gap=_gap(ob, request)))]
-    layer, size = request.unwrap.layer, request.size
-    if request.atlas:
-        size = lay_out(objects, layer, size, request.density, request.bake.margin)
-        layer = ATLAS_LAYER
+    made, layer, size = unwrap(objects, request)
     unwrapped = time.perf_counter() - begin
     with CompileTimer() as compiling:
         begin = time.perf_counter()
@@ -156,6 +152,18 @@ def _prepared(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], reque
         seconds = time.perf_counter() - begin - compiling.seconds
     members = {target.name: sorted(found) if request.atlas else [target.name] for target in targets}
     return Prepared(arrays, targets, request, layer, members, made, before, (seconds, unwrapped, compiling.seconds))
+
+
+def unwrap(objects: Sequence[bpy.types.Object], request: LightmapRequest) -> tuple[list[bpy.types.Mesh], str, int]:
+    """Give the objects the UV maps of a request where they lack them: the meshes that got one, the map's name, an image's side.
+
+    Raises:
+        SceneError: a mesh cannot get one, or an atlas has no room.
+    """
+    made = [mesh for ob in objects for mesh in ensure_uv([ob], replace(request.unwrap, gap=_gap(ob, request)))]
+    if not request.atlas:
+        return made, request.unwrap.layer, request.size
+    return made, ATLAS_LAYER, lay_out(objects, request.unwrap.layer, request.size, request.density, request.bake.margin)
 
 
 def _gap(ob: bpy.types.Object, request: LightmapRequest) -> float:

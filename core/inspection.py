@@ -6,7 +6,7 @@ import numpy as np
 
 from .lamps import Emitters
 from .lamps.tables import TRIANGLE
-from .scene import ALL_RAYS, AREA, CAMERA, CONSTANT, DIFFUSE, EMISSIVE, POINT, SHADOW, SPOT, SUN, TRANSPARENT, Scene, Skipped
+from .scene import ALL_RAYS, AREA, CONSTANT, EMISSIVE, POINT, SPOT, SUN, TRANSPARENT, Scene, Skipped
 from .surfaces.layout import DIFFUSE as DIFFUSE_ALBEDO
 
 LAMP_KINDS = {POINT: "point", SPOT: "spot", SUN: "sun", AREA: "area"}
@@ -74,10 +74,8 @@ def foresee(scene: Scene, emitters: Emitters) -> tuple[list[Skipped], list[str]]
     skipped = [Skipped("lamps", f"lamp '{name}' gives no light") for i, name in enumerate(scene.lamps.names) if i not in shining]
     worn = np.bincount(geometry.material, minlength=len(tables.flags)) > 0
     skipped += [Skipped("materials", f"material '{name}' is on no triangle") for name, used in zip(scene.materials.names, worn) if not used]
-    hit = geometry.object_visibility & (CAMERA | DIFFUSE | SHADOW) & ALL_RAYS != 0
-    skipped += [
-        Skipped("rays", f"object '{geometry.object_names[i]}' is hidden from every ray that is traced") for i in np.flatnonzero(~hit)
-    ]
+    unseen = np.flatnonzero(geometry.object_visibility & ALL_RAYS == 0)
+    skipped += [Skipped("objects", f"object '{geometry.object_names[i]}' is hidden from every ray") for i in unseen]
     warnings = []
     if not len(geometry.triangles):
         warnings.append(NO_GEOMETRY)

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .denoise import Denoiser
-from .lamps import LightGroups, world_tables
+from .lamps import DirectLight, LightGroups, world_tables
 from .layers import Layers
 from .memory import check_memory
 from .methods.glossy import Reflections
 from .passes import Passes
 from .picture import Picture, nearest_triangles
 from .planning.machine import cached_machine
-from .planning.planner import Planner
+from .planning.planner import Planner, reduced
 from .reuse import Sequence
 from .scene import Camera, Scene
 from .settings import RenderSettings
@@ -31,14 +31,16 @@ from .stages import (
     indirect_stage,
     method_of,
     prepared,
+    refractive,
     single_lights,
     within_reach,
 )
 from .threads import thread_count
-from .topology import IN_MEMORY, Topologies
+from .topology import IN_MEMORY, Topologies, Topology
 from .transport import Transport
 from .view.primary import View, view
 
+GLANCE = 64  # pixels along the longer side of a picture that tells what the whole one will show
 MANY_RAYS = 16  # a shading point: the default of the accurate method
 LOADED: set[str] = set()  # methods whose kernels this process has in memory, which the first pass of one pays for
 
@@ -128,6 +130,22 @@ def scout(
         cache_stage(run, tables, seen.points, settings, threads)
 
 
+def glance(scene: Scene, settings: RenderSettings, topology: Topology | None = None) -> list[dict]:
+    """`savings` of a render of `scene`, whose numbers are sound, as far as a look of few pixels tells: `stage`, `what` and `share` each.
+
+    topology: of the scene, where it is known: it tells which lamps are out of reach.
+    """
+    settings = replace(settings.with_defaults(), method="instant-radiosity")
+    longest = max(scene.camera.width, scene.camera.height)
+    small = replace(scene, camera=reduced(scene.camera, max(1.0, longest / GLANCE)))
+    run, threads = Run(None, topology=topology), thread_count(settings.threads)
+    with prepared(run, small, settings, threads) as tables:
+        points = _look(run, small, tables, settings, threads).points
+        if topology is not None:
+            within_reach(run, tables, points)
+    return [{key: line[key] for key in ("stage", "what", "share")} for line in run.savings()]
+
+
 def _render(
     scene: Scene,
     settings: RenderSettings,
@@ -156,7 +174,8 @@ def _render(
             picture = sequence.developed(picture, threads)
     if denoiser:
         with run.stage("denoise") as denoiser.progress:
-            quality = denoising_quality(settings, passes.weight)
+            share = sequence.settings.frame_share if run.in_turn(settings) else 1.0  # history stands for the other rays
+            quality = denoising_quality(settings, passes.weight / share)
             picture = picture.denoised(denoiser, threads, direct=settings.wants("Direct", "Combined"), quality=quality)
     if picture.groups and (denoiser or sequence):  # either has changed the whole
         with closing(Denoiser(quality="fast")) as quick, run.stage("groups") as quick.progress:
@@ -307,11 +326,11 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
     wants_glossy = wants("Direct", "Combined", "GlossyIndirect", "Indirect")
     wants_indirect = wants("DiffuseIndirect", "Indirect", "Irradiance", "Combined") or (behind_glass and wants("GlossyIndirect"))
     sampler = cache_stage(run, tables, points, settings, threads) if wants_glossy or wants_indirect else None
-    direct = highlights = nothing
+    light = DirectLight(nothing, nothing, nothing, nothing)
     mirrored = Reflections(nothing, nothing, 0, nothing[:, :3])
-    if wants("Direct", "Combined") or behind_glass:
+    if wants("Direct", "Combined") or behind_glass or ((wants_indirect or wants_glossy) and refractive(tables)):
         with run.stage("direct") as tick:
-            direct, highlights = direct_stage(run, scene, tables, points, settings, threads, tick)
+            light = direct_stage(run, scene, tables, points, settings, threads, tick)
     if wants_glossy:
         mirrored = glossy_stage(run, tables, points, settings, threads, sampler)
     indirect = nothing
@@ -323,6 +342,10 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
             if run.clusters is not None:
                 run.debug |= run.clusters.debug_layers(points, seen.shape)
     LOADED.add(settings.method)
-    picture = Picture.compose(seen, direct, indirect, highlights + mirrored.direct, mirrored.indirect, mirrored.albedo, weight, run.groups)
+    smooth = settings.smooth and not light.irradiance_by_glass.any()
+    picture = Picture.compose(
+        seen, light.irradiance, indirect + light.irradiance_by_glass, light.glossy + mirrored.direct,
+        light.glossy_by_glass + mirrored.indirect, mirrored.albedo, weight, run.groups,
+    )  # fmt: skip
     alpha = np.float32(1) - seen.clear if settings.film.transparent else None
-    return replace(picture, smooth=settings.smooth, alpha=alpha, triangle=nearest_triangles(seen) if run.sequence else None)
+    return replace(picture, smooth=smooth, alpha=alpha, triangle=nearest_triangles(seen) if run.sequence else None)

@@ -261,13 +261,19 @@ class SequenceSettings:
     share: float = 0.5
     motion_blur: int = 1
 
+    @property
+    def frame_share(self) -> float:
+        """Part of the rays of a picture by itself that each exposure takes."""
+        return self.share / self.motion_blur if self.history else 1.0
+
     def frame(self, settings: RenderSettings) -> RenderSettings:
         """The request for one frame: fewer rays for what noise the frames before it take out; edges and direct light as ever."""
         settings = settings.with_defaults()
         if not self.history or settings.time_budget is not None or settings.target_error is not None:
             return settings
-        share = self.share / self.motion_blur
-        rays = {name: max(1, round(share * n)) for name in ("samples", "gather", "reflections") if (n := getattr(settings, name)) > 0}
+        rays = {
+            name: max(1, round(self.frame_share * n)) for name in ("samples", "gather", "reflections") if (n := getattr(settings, name)) > 0
+        }
         return replace(settings, **rays) if settings.method == "importance-sampling" else settings
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from .errors import SceneError
 from .inspection import foresee, savings
 from .jit import CompileTimer
-from .lamps import Emitters, LightGroups, build_emitters, direct_irradiance, direct_light
+from .lamps import DirectLight, Emitters, LightGroups, build_emitters, direct_light
 from .methods.area_shadows import area_lamps, direct_by_soft_maps
 from .methods.fuzzy_clustering import FuzzyClustering
 from .methods.glossy import Reflections, has_lobes, reflect
@@ -28,7 +28,7 @@ from .picture import splat
 from .planning.planner import Planner
 from .reuse import Sequence
 from .reuse.sequence import ray_scene
-from .scene import AREA, POINT, SPOT, Scene, Skipped
+from .scene import AREA, POINT, REFRACTIVE, SPOT, Scene, Skipped
 from .settings import RenderSettings
 from .threads import Cancelled
 from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, reachable_vpls, rooms_seen, without_emitters
@@ -166,42 +166,52 @@ def light_points(
 
     points: N of them, in an order in which neighbours lie close together; without glossy lobes.
     """
-    first = tables.emitters.no_light(len(points.pixel))
+    first = by_glass = tables.emitters.no_light(len(points.pixel))
     if run.topology is not None:
         tables = within_reach(run, tables, points)
-    if direct:
+    if direct or refractive(tables):
         with run.stage("direct") as tick:
-            first, _ = direct_stage(run, scene, tables, points, settings, threads, tick)
+            light = direct_stage(run, scene, tables, points, settings, threads, tick)
+        first, by_glass = light.irradiance if direct else first, light.irradiance_by_glass
     sampler = cache_stage(run, tables, points, settings, threads)
     indirect, vpls = indirect_stage(run, tables, points, None, settings, threads, sampler)
     run.vpls += len(vpls.bounce)
-    return first, indirect
+    return first, indirect + by_glass
+
+
+def refractive(tables: Transport) -> bool:
+    """Whether lamps may shine through glass, which makes their light indirect light."""
+    return bool((tables.materials.flags & REFRACTIVE).any())
 
 
 def direct_stage(
     run: Run, scene: Scene, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, tick
-) -> tuple[np.ndarray, np.ndarray]:
-    """Direct irradiance at the points (N, 3 G), and the radiance that their lobes reflect of it (N, 3 G) by shadow rays."""
-    by_maps = highlights = tables.emitters.no_light(len(points.pixel))
-    lobes = has_lobes(points)
+) -> DirectLight:
+    """Direct light at the points: irradiance, and what their lobes reflect of it by shadow rays."""
     samples, seed = settings.direct_samples, settings.seed
-    if lobes:
-        by_rays, highlights, rays = direct_light(tables, points, samples, seed, threads, tick, reflections=settings.reflections)
+
+    def by_rays(tables: Transport, lobes: bool) -> DirectLight:
+        light, rays = direct_light(tables, points, samples, seed, threads, tick, reflections=settings.reflections, lobes=lobes)
         run.rays["shadow"] += rays
-    mapped = None
+        return light
+
+    lobes = has_lobes(points)
     if settings.visibility == "shadow-maps" and len(point_lamps(tables.emitters)):
         mapped, kinds = direct_by_maps, (POINT, SPOT)
     elif settings.soft_shadows and len(area_lamps(tables.emitters)):
         mapped, kinds = direct_by_soft_maps, (AREA,)
-    if mapped is not None:
-        by_maps, rays = mapped(tables, points, seed=seed, threads=threads)
-        run.rays["shadow"] += rays
-        others = scene.lamps.take(~np.isin(scene.lamps.kind, kinds))
-        tables, lobes = tables._replace(emitters=build_emitters(replace(scene, lamps=others))), False
+    else:
+        return by_rays(tables, lobes)
+    by_maps, rays = mapped(tables, points, seed=seed, threads=threads)
+    run.rays["shadow"] += rays
+    others = scene.lamps.take(~np.isin(scene.lamps.kind, kinds))
+    rest = by_rays(tables._replace(emitters=build_emitters(replace(scene, lamps=others))), False)
+    lit = rest._replace(irradiance=by_maps + rest.irradiance)
     if not lobes:
-        by_rays, rays = direct_irradiance(tables, points, samples, seed, threads, tick)
-        run.rays["shadow"] += rays
-    return by_maps + by_rays, highlights
+        return lit
+    # Maps know no lobes.
+    shown = by_rays(tables, True)
+    return lit._replace(glossy=shown.glossy, glossy_by_glass=shown.glossy_by_glass)
 
 
 def cache_stage(run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> ImportanceSampling | None:

@@ -201,7 +201,7 @@ SUITE_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
         SIZE,
         REFERENCE_SAMPLES,
         FRAMES,
-        OwnOption("--moves", "moves", {"nargs": "+", "choices": ("camera", "lamp"), "help": "(default: both)"}),
+        OwnOption("--moves", "moves", {"nargs": "+", "choices": ("camera", "lamp", "object"), "help": "(default: all)"}),
     ),
 }
 
@@ -275,7 +275,7 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     compare.add_argument("--json", type=output_file(".json"), metavar="FILE", help="write the figures")
     compare.add_argument("--error-map", type=output_file(".png"), metavar="PNG", help="write where the error is")
 
-    inspect = commands.add_parser("inspect", help="what a scene holds, what will be skipped and why, before any ray is traced")
+    inspect = commands.add_parser("inspect", help="what a scene holds, what will be skipped and why, before it is rendered")
     _add_scene(inspect, scene_is_open)
     _add_view(inspect)
     inspect.add_argument("--json", type=output_file(".json"), metavar="FILE", help="write the same as JSON")

@@ -3,11 +3,15 @@
 Exit status: 0 done; 2 bad usage or a scene that cannot be rendered; 130 cancelled.
 """
 
+import contextlib
 import importlib
 import importlib.util
+import os
+import signal
 import sys
 import traceback
 from pathlib import Path
+from typing import NoReturn
 
 CANCELLED = "lumigate: cancelled"
 
@@ -19,6 +23,25 @@ def _load_package() -> None:
     package = importlib.util.module_from_spec(spec)
     sys.modules["lumigate"] = package
     spec.loader.exec_module(package)
+
+
+def program() -> NoReturn:
+    """The console script."""
+    leave(main())
+
+
+def leave(status: int) -> NoReturn:
+    """End the process without the static destructors of bpy 4, which wait for ever on its sound thread where anything still refers to bpy."""
+    # All is said and done: what comes now must not turn a whole picture into a killed process.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    bpy = sys.modules.get("bpy")
+    if bpy is None or bpy.app.version >= (5, 0):
+        sys.exit(status)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):  # nobody reads it any more
+            stream.flush()
+    os._exit(status)
 
 
 def main(argv: list[str] | None = None, *, in_blender: bool = False) -> int:
@@ -84,9 +107,12 @@ if __name__ == "__main__":
         _load_package()
     from lumigate.headless.cli import main as package_main
 
+    inside = "bpy" in sys.modules
     try:
-        status = package_main(in_blender="bpy" in sys.modules)
+        status = package_main(in_blender=inside)
     except Exception:  # a fault of ours: Blender would print it, too, but end with status 0
         traceback.print_exc()
         status = 1
+    if not inside:
+        leave(status)
     sys.exit(status)

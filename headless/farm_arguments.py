@@ -30,7 +30,7 @@ def add_farm(parser: argparse.ArgumentParser, file: Callable, folder: Callable, 
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--frames", type=frame_range, metavar="A-B[:STEP]", help="these frames")
     what.add_argument("--tiles", type=count, metavar="N", help="one still (with --size) in tiles of N pixels along a side")
-    what.add_argument("--bake", type=names, metavar="A,B", help="lightmaps of these objects, each on a worker")
+    what.add_argument("--bake", type=names, metavar="A,B+C", help="lightmaps of these objects, each on a worker; B+C: one atlas for both")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--scheduler", metavar="HOST:PORT", help="a Dask scheduler; tls://HOST:PORT with Dask's own TLS settings")
     where.add_argument("--workers", type=count, metavar="N", help="workers on this machine (default: 1)")
@@ -42,7 +42,7 @@ def add_farm(parser: argparse.ArgumentParser, file: Callable, folder: Callable, 
 
 
 def finish_farm(parser, arguments: argparse.Namespace, rest: list[str], parse: Callable) -> None:
-    """Check what is handed on by the grammar of the command that will read it, and set `kind` and `rest`."""
+    """Check what is handed on by the grammar of the command that will read it, and set `kind` and `rest`; `baking`: as `bake` would have them."""
     arguments.kind = "frames" if arguments.frames is not None else "tiles" if arguments.tiles is not None else "bake"
     is_file, is_folder = arguments.output_types
     try:
@@ -60,7 +60,7 @@ def finish_farm(parser, arguments: argparse.Namespace, rest: list[str], parse: C
         width, height = arguments.size
         rest += ["--size", f"{width}x{height}" if arguments.kind == "frames" else str(width)]
     if arguments.kind == "bake":
-        parse(["bake", arguments.scene, "-o", str(arguments.output), *rest])
+        arguments.baking = parse(["bake", arguments.scene, "-o", str(arguments.output), *rest])
     else:
         shown = ["--frames", "1-1"] if arguments.kind == "frames" else []
         parse(["render", arguments.scene, "-o", str(arguments.output), *shown, *rest])

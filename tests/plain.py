@@ -2,7 +2,7 @@
 
     python tests/plain.py [--seconds S] [--jobs N] [TEST FILE ...]
 
-A kernel is a thousand times slower in Python: a test that takes more than S seconds is cut off, and counts for the lines that it
+A kernel is a thousand times slower in Python: a test that takes more than S CPU seconds is cut off, and counts for the lines that it
 has reached.  What kernels do beyond Python (Embree's calls, words of memory, functions by address) is done by ctypes here.
 Not part of CI: it takes half an hour.
 """
@@ -113,7 +113,7 @@ def patch() -> None:
 
 
 class Limit:
-    """A pytest plugin: each test gets so many seconds, and those that needed more are counted apart."""
+    """A pytest plugin: each test gets so many seconds of the processor, whoever shares it."""
 
     def __init__(self, seconds: int):
         self.seconds = seconds
@@ -124,12 +124,12 @@ class Limit:
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item):
         """Rings until it is heard: what is raised inside a callback of C is lost."""
-        signal.signal(signal.SIGALRM, self._stop)
-        signal.setitimer(signal.ITIMER_REAL, self.seconds, 1.0)
+        signal.signal(signal.SIGPROF, self._stop)
+        signal.setitimer(signal.ITIMER_PROF, self.seconds, 1.0)
         try:
             return (yield)
         finally:
-            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.setitimer(signal.ITIMER_PROF, 0)
 
 
 def run_here(seconds: int, files: list[str], data: str) -> int:

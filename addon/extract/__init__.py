@@ -13,7 +13,7 @@ from ...core.scene import Camera, Scene
 from ..materials import MaterialUse, compile_materials
 from .camera import camera_warnings, extract_camera, find_camera, image_frame
 from .evaluation import in_render_depsgraph
-from .geometry import Collected, assemble, collect
+from .geometry import Collected, assemble, collect, mark_curved_glass
 from .lamps import CollectedLamps, collect_lamps, to_arrays
 from .world import Cycles, extract_world
 
@@ -110,6 +110,7 @@ def _assembled(
     """
     compiled = compile_materials(_uses(found, graph), may_bake=cycles == "here")
     geometry, origin, dropped = assemble(found, compiled)
+    mark_curved_glass(geometry, compiled.materials.tables.flags)
     world = extract_world(scene, layer, graph, cycles)
     if view is not None:
         view.matrix[:3, 3] -= origin
@@ -124,7 +125,7 @@ def _assembled(
         view_layer=layer.name,
         light_groups=tuple(group.name for group in layer.lightgroups),
         warnings=[*found.warnings, *dropped, *lamps.warnings, *world.warnings, *compiled.warnings],
-        skipped=lamps.skipped,
+        skipped=[*found.skipped, *lamps.skipped],
     )
 
 
@@ -144,11 +145,11 @@ def _view_layer(
 
 def _uses(found: Collected, graph: bpy.types.Depsgraph) -> list[MaterialUse]:
     """Each material with the objects that wear it, as evaluated (drivers, animation) in `graph`."""
-    wearers: dict[bpy.types.Material | None, dict[bpy.types.Object, None]] = {}
-    for part in found.parts:
-        for material in part.materials:
-            wearers.setdefault(material, {})[part.original] = None
+    wearers: dict[bpy.types.Material | None, dict[bpy.types.Object, None]] = {material: {} for material in found.materials}
+    for members in found.batches:
+        for material in found.parts[members[0]].worn:
+            wearers[material].update((found.parts[i].original, None) for i in members)
     return [
-        MaterialUse(material and material.evaluated_get(graph), tuple(ob.evaluated_get(graph) for ob in wearers.get(material, ())))
-        for material in found.materials
+        MaterialUse(material and material.evaluated_get(graph), tuple(ob.evaluated_get(graph) for ob in objects))
+        for material, objects in wearers.items()
     ]

@@ -32,6 +32,15 @@ class Part:
     lightmap: str = ""
     light_group: str = ""
 
+    @property
+    def worn(self) -> list[bpy.types.Material | None]:
+        """Materials of the slots that a triangle of the mesh has."""
+        return [self.materials[k] for k in np.unique(self.slots())]
+
+    def slots(self) -> np.ndarray:
+        """(T,) int32 into `materials`: Blender takes the nearest slot that there is."""
+        return np.clip(self.mesh.slot, 0, len(self.materials) - 1)
+
 
 @dataclass
 class Batch:

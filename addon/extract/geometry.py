@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import bpy
 import numpy as np
 
 from ...core.errors import SceneError
-from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION, Geometry
+from ...core.scene import CAMERA, CURVED, DIFFUSE, GLOSSY, REFRACTIVE, SHADOW, TRANSMISSION, Geometry, Skipped
 from ..materials import CompiledMaterials
 from .attributes import Batch, Part, fill, lightmap_uv, unit
 from .meshes import MeshCopy, copy_mesh, face_normals, layer_names
@@ -34,17 +35,38 @@ _NOT_TRIANGLES = {
 }
 
 
+_BEND = 0.02  # of a normal between the corners of a triangle
+
+
 @dataclass
 class Collected:
-    """What `collect` found; `warnings` are lines for the user."""
+    """What `collect` found; `warnings` are lines for the user, `hidden` names of objects that no ray can see."""
 
     parts: list[Part] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    hidden: list[str] = field(default_factory=list)
+
+    @cached_property
+    def materials(self) -> list[bpy.types.Material | None]:
+        """Materials on any triangle in order of appearance, each once (original data-blocks; None is Blender's default grey)."""
+        return list(dict.fromkeys(m for members in self.batches for m in self.parts[members[0]].worn))
+
+    @cached_property
+    def batches(self) -> list[list[int]]:
+        """Indices of the parts that share a mesh and its materials, in order of appearance."""
+        groups: dict[tuple, list[int]] = {}
+        for i, part in enumerate(self.parts):
+            groups.setdefault((id(part.mesh), part.materials), []).append(i)
+        return list(groups.values())
 
     @property
-    def materials(self) -> list[bpy.types.Material | None]:
-        """Materials in order of appearance, each once (original data-blocks; None is Blender's default grey)."""
-        return list(dict.fromkeys(m for part in self.parts for m in part.materials))
+    def skipped(self) -> list[Skipped]:
+        """What is left out without a difference: neither read nor compiled, its textures not loaded."""
+        named = dict.fromkeys(m for members in self.batches for m in self.parts[members[0]].materials if m is not None)
+        return [
+            *(Skipped("objects", f"object '{name}' is hidden from every ray") for name in self.hidden),
+            *(Skipped("materials", f"material '{m.name}' is on no triangle") for m in named if m not in self.materials),
+        ]
 
 
 def ray_visibility(ob: bpy.types.Object) -> int:
@@ -82,6 +104,7 @@ def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None 
     lightmaps = lightmaps or {}
     found = Collected()
     notes: dict[str, None] = {}  # an ordered set: one line for a thing, however often it is instanced
+    hidden: dict[str, None] = {}
     meshes: dict[int, MeshCopy | None] = {}
     wanted = layer_names() | set(lightmaps.values())
     view_layer = depsgraph.view_layer_eval
@@ -97,7 +120,10 @@ def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None 
         key = ob.data.as_pointer()
         if visibility and key not in meshes:
             meshes[key] = copy_mesh(ob.data, wanted, deformed=bool(ob.modifiers) or ob.data.shape_keys is not None)
-        if not visibility or meshes[key] is None:
+        if not visibility:
+            hidden[ob.name] = None
+            continue
+        if meshes[key] is None:
             continue
         slots = [slot.material for slot in ob.material_slots] if override is None else [override]
         found.parts.append(
@@ -116,6 +142,8 @@ def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None 
             )
         )
     found.warnings.extend(notes)
+    shown = {part.name for part in found.parts}
+    found.hidden.extend(name for name in hidden if name not in shown)
     if not found.parts:
         found.warnings.append("the scene has no meshes that a render shows")
     return found
@@ -187,7 +215,7 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
     index = {material: i for i, material in enumerate(found.materials)}
     mirrored, broken = np.zeros(len(parts), bool), np.zeros(len(parts), bool)
     v = t = 0
-    for members in _batches(parts):
+    for members in found.batches:
         mesh, n = parts[members[0]].mesh, len(members)
         vertices, triangles = slice(v, v + n * len(mesh.vertices)), slice(t, t + n * len(mesh.corners))
         matrices = np.stack([parts[i].matrix for i in members])
@@ -206,8 +234,8 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
             batch.normals[:] = unit(normals).reshape(n, len(mesh.corners), -1, 3)
         bases = v + len(mesh.vertices) * np.arange(n, dtype=np.int32)
         np.add(mesh.corners, bases[:, None, None], out=geometry.triangles[triangles].reshape(n, -1, 3))
-        slots = np.array([index[m] for m in batch.parts[0].materials], np.int32)
-        material = slots[np.clip(mesh.slot, 0, len(slots) - 1)]
+        slots = np.array([index.get(m, 0) for m in batch.parts[0].materials], np.int32)
+        material = slots[batch.parts[0].slots()]
         geometry.material[triangles].reshape(n, -1)[:] = material
         geometry.object[triangles].reshape(n, -1)[:] = np.array(members, np.int32)[:, None]
         if geometry.lightmap_uv is not None:
@@ -223,6 +251,14 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
     return geometry, origin, warnings
 
 
+def mark_curved_glass(geometry: Geometry, flags: np.ndarray) -> None:
+    """Set CURVED in the flags (M,) of refractive materials on triangles whose corner normals differ: what bends light, as panes do not."""
+    glass = np.flatnonzero(flags[geometry.material] & REFRACTIVE)
+    normals = geometry.corner_normals[glass]
+    bends = (np.abs(normals - normals[:, :1]) > _BEND).any(axis=(1, 2))
+    flags[np.unique(geometry.material[glass[bends]])] |= CURVED
+
+
 def _origin(world: np.ndarray) -> np.ndarray:
     """(3,) the middle of the bounds on a grid of an eighth to a quarter of them: it stays where it is while a part of the scene moves."""
     if not len(world):
@@ -230,14 +266,6 @@ def _origin(world: np.ndarray) -> np.ndarray:
     low, high = world.min(0), world.max(0)
     cell = 2.0 ** (np.floor(np.log2(max((high - low).max(), 1e-30))) - 2)
     return np.round(0.5 * (low + high) / cell) * cell
-
-
-def _batches(parts: list[Part]) -> list[list[int]]:
-    """Indices of the parts that share a mesh and its materials, in order of appearance."""
-    groups: dict[tuple, list[int]] = {}
-    for i, part in enumerate(parts):
-        groups.setdefault((id(part.mesh), part.materials), []).append(i)
-    return list(groups.values())
 
 
 def _normal_matrices(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

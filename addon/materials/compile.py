@@ -10,7 +10,7 @@ import numpy as np
 from ...core import scene
 from ...core.surfaces import outlined
 from ...core.surfaces import program as ops
-from ...core.surfaces.layout import EMISSION, GLOSSY_F0, SURFACE, TRANSPARENCY
+from ...core.surfaces.layout import EMISSION, GLOSSY_F0, REFRACTION, SURFACE, TRANSPARENCY
 from ...core.surfaces.textures import TexturePool
 from . import nodes, registry  # noqa: F401  (importing `nodes` fills the registry)
 from .bake import Baker
@@ -20,7 +20,8 @@ from .tree import Context, Scope
 
 _DEFAULT_GREY = Constant(0.8, 0.8, 0.8)
 _GLOSSY = {ops.GLOSSY_CLOSURE, ops.METAL_CLOSURE, ops.GLASS_CLOSURE, ops.DIELECTRIC_CLOSURE, ops.COAT_CLOSURE}
-_TRANSPARENT = {ops.TRANSPARENT_CLOSURE, ops.REFRACTION_CLOSURE, ops.GLASS_CLOSURE}
+_REFRACTIVE = {ops.REFRACTION_CLOSURE, ops.GLASS_CLOSURE}
+_TRANSPARENT = {ops.TRANSPARENT_CLOSURE, *_REFRACTIVE}
 
 
 def compile_materials(uses: Sequence[MaterialUse], *, may_bake: bool = True) -> CompiledMaterials:
@@ -98,6 +99,7 @@ def _link(programs: list[Program], names: list[str], textures: TexturePool, warn
             flags[m] = (
                 scene.EMISSIVE * (ops.EMISSION_CLOSURE in operations)
                 | scene.TRANSPARENT * bool(operations & _TRANSPARENT)
+                | scene.REFRACTIVE * bool(operations & _REFRACTIVE)
                 | scene.GLOSSY_LOBE * bool(operations & _GLOSSY)
             )
         flags[m] |= scene.NORMAL_MAPPED * (ops.NORMAL_MAP in operations)
@@ -108,5 +110,10 @@ def _link(programs: list[Program], names: list[str], textures: TexturePool, warn
 
 
 def _constant_flags(surface: np.ndarray) -> int:
-    pairs = ((scene.EMISSIVE, EMISSION, 3), (scene.TRANSPARENT, TRANSPARENCY, 3), (scene.GLOSSY_LOBE, GLOSSY_F0, 6))
+    pairs = (
+        (scene.EMISSIVE, EMISSION, 3),
+        (scene.TRANSPARENT, TRANSPARENCY, 3),
+        (scene.REFRACTIVE, REFRACTION, 3),
+        (scene.GLOSSY_LOBE, GLOSSY_F0, 6),
+    )
     return sum(flag for flag, at, n in pairs if (surface[at : at + n] > 0).any())

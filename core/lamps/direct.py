@@ -178,9 +178,10 @@ def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end):
         return _0, _0, _0
     if not scene.emitters.cutouts:
         return _1, _1, _1
-    return transmittance1(
+    r, g, b, _ = transmittance1(
         scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, SHADOW
     )
+    return r, g, b
 
 
 @leaf
@@ -236,9 +237,18 @@ def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, g
     return r, g, b
 
 
+@inlined
+def _add_light(out, i, c, share, r, g, b):
+    """Adds a share of (r, g, b) to row i of `out`, from column c on."""
+    out[i, c] += share * r
+    out[i, c + 1] += share * g
+    out[i, c + 2] += share * b
+
+
 @kernel
 def _trace_pending(scene, packet, rows, surface, pending, owner, column, n, out, glossy):
-    """Trace the n pending rays and add what gets through to their points, from column (WIDTH,) on."""
+    """Trace the n pending rays and add what gets through to their points, from column (WIDTH,) on; what passes glass to the second half."""
+    half = out.shape[1] // 2
     for lane in range(WIDTH):
         if lane < n:
             p = pending[lane]
@@ -250,20 +260,22 @@ def _trace_pending(scene, packet, rows, surface, pending, owner, column, n, out,
         if is_occluded(packet, lane):
             continue
         p = pending[lane]
-        tr = tg = tb = _1
+        tr = tg = tb = clear = _1
         if scene.emitters.cutouts:
-            tr, tg, tb = transmittance1(
+            tr, tg, tb, clear = transmittance1(
                 scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface,
                 p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW,
             )  # fmt: skip
-        c = column[lane]
-        out[owner[lane], c] += p[7] * tr
-        out[owner[lane], c + 1] += p[8] * tg
-        out[owner[lane], c + 2] += p[9] * tb
+        if clear < _0:  # a lens throws it elsewhere: a caustic, which is not found
+            continue
+        c, i = column[lane], owner[lane]
+        _add_light(out, i, c, clear, p[7] * tr, p[8] * tg, p[9] * tb)
+        if clear < _1:
+            _add_light(out, i, c + half, _1 - clear, p[7] * tr, p[8] * tg, p[9] * tb)
         if len(glossy) > 0:
-            glossy[owner[lane], c] += p[10] * tr
-            glossy[owner[lane], c + 1] += p[11] * tg
-            glossy[owner[lane], c + 2] += p[12] * tb
+            _add_light(glossy, i, c, clear, p[10] * tr, p[11] * tg, p[12] * tb)
+            if clear < _1:
+                _add_light(glossy, i, c + half, _1 - clear, p[10] * tr, p[11] * tg, p[12] * tb)
 
 
 @kernel
@@ -382,19 +394,33 @@ def set_point_lobe(points, i, lobe):
     )  # fmt: skip
 
 
+class DirectLight(NamedTuple):
+    """Direct light at N points, three columns for each of G light groups.
+
+    irradiance: (N, 3 G) float32 W/m^2.  glossy: (N, 3 G) float32 W/m^2/sr, what lobes reflect to the viewer.
+    irradiance_by_glass, glossy_by_glass: the same, of light that passed glass on its way from the lamp: glass is a bounce to
+    Cycles, which counts it as indirect light.
+    """
+
+    irradiance: np.ndarray
+    glossy: np.ndarray
+    irradiance_by_glass: np.ndarray
+    glossy_by_glass: np.ndarray
+
+
 def direct_irradiance(scene, points, samples: int, seed: int, threads: int = 0, progress: Progress | None = None, *, first: int = 0):
     """Direct irradiance at shading points, as `direct_light`; points need the arrays position, ns, ng and error only.
 
     Returns:
-        ((N, 3 G) float32 W/m^2, number of rays traced).
+        ((N, 3 G) float32 W/m^2, with what passes glass, number of rays traced).
     """
-    none = np.zeros((0, 3), np.float32)
-    receivers = Receivers(points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none)
-    return _direct(scene, receivers, samples, 0, seed, threads, progress, first, none)
+    light, rays = direct_light(scene, points, samples, seed, threads, progress, first=first, lobes=False)
+    return light.irradiance + light.irradiance_by_glass, rays
 
 
 def direct_light(
-    scene, points, samples: int, seed: int, threads: int = 0, progress: Progress | None = None, *, first: int = 0, reflections: int = 0
+    scene, points, samples: int, seed: int, threads: int = 0, progress: Progress | None = None, *, first: int = 0, reflections: int = 0,
+    lobes: bool = True,
 ):  # fmt: skip
     """Direct light at shading points: irradiance, and what their glossy lobes reflect to the viewer.
 
@@ -406,23 +432,28 @@ def direct_light(
         first: number of the pass; passes of one seed and sample count go on in the same sequences.
         reflections: most rays drawn from a point's lobe; where above 0, the light that they find is theirs to add
             (`methods.glossy.reflect`, called with the same numbers).
+        lobes: whether the points' lobes matter at all; without, they need the arrays position, ns, ng and error only.
 
     Returns:
-        ((N, 3 G) float32 W/m^2, (N, 3 G) float32 W/m^2/sr, number of rays traced): three columns for each of G light groups.
+        (DirectLight, number of rays traced).
     """
-    receivers = Receivers(*(getattr(points, name) for name in Receivers._fields))
-    glossy = scene.emitters.no_light(len(points.position))
-    irradiance, rays = _direct(scene, receivers, samples, reflections, seed, threads, progress, first, glossy)
-    return irradiance, glossy, rays
-
-
-def _direct(scene, points: Receivers, samples, reflections, seed, threads, progress, first, glossy):
-    n = len(points.position)
-    out = scene.emitters.no_light(n)
-    if len(scene.emitters.groups) == 0 or samples < 1:
-        return out, 0
+    if lobes:
+        receivers = Receivers(*(getattr(points, name) for name in Receivers._fields))
+    else:
+        none = np.zeros((0, 3), np.float32)
+        receivers = Receivers(points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none)
+    n, columns = len(points.position), 3 * scene.emitters.light_groups
+    # Side by side: light that met no glass, light that passed it.
+    out = np.zeros((n, 2 * columns), np.float32)
+    reflected = np.zeros((n if lobes else 0, 2 * columns), np.float32)
+    rays = 0
 
     def work(begin, end):
-        return _direct_chunk(scene, points, begin, end, samples, reflections, np.uint32(seed), np.int64(first), out, glossy)
+        return _direct_chunk(scene, receivers, begin, end, samples, reflections, np.uint32(seed), np.int64(first), out, reflected)
 
-    return out, sum(run_chunks(work, n, CHUNK, threads, progress))
+    if len(scene.emitters.groups) and samples >= 1:
+        rays = sum(run_chunks(work, n, CHUNK, threads, progress))
+    if not lobes:
+        reflected = np.zeros_like(out)
+    halves = [light[:, part] for part in (slice(columns), slice(columns, None)) for light in (out, reflected)]
+    return DirectLight(*map(np.ascontiguousarray, halves)), rays

@@ -308,11 +308,11 @@ def reflect(
             if len(mirrors.pixel) == 0:
                 break
             key = key + 1 & 0xFFFFFFFF
-            _, light, rays = direct_light(scene, mirrors, 1, key, threads, reflections=1)
+            light, rays = direct_light(scene, mirrors, 1, key, threads, reflections=1)
             shown, known, diffuse, further, drawn = _draw(
                 scene, cache, near, bounces, mirrors, mirrors.pixel, 1, 1, depth >= _SURE, key, threads, 0
             )
-            _add(indirect[block], mirrors.pixel, light + shown + known)
+            _add(indirect[block], mirrors.pixel, light.glossy + light.glossy_by_glass + shown + known)
             lit.append(diffuse)
             mirrors = further
             total += rays + drawn

@@ -32,6 +32,9 @@ BALANCE = np.float32(50.0)  # probes of mean brightness that the balance of the 
 MOST_BALANCE = np.float32(1.5)
 GUIDES = 4  # every so-manyth path tells how bright cells are
 GUIDE_PRIOR = 4.0
+# A cell never counts as dimmer than this part of what it gives to gather rays.  Where the guides missed what the other probes
+# found, gather rays would carry rare bright light: sparks, and light that coarse cells smear over edges.
+LEAST_BRIGHT = np.float32(0.25)
 MOST_TURNS = 8  # of glossy reflections in the cache
 CHUNK = 16384  # probes a chunk
 MISSED, DIFFUSE_LINK, GLOSSY_LINK = 0, 1, 2
@@ -78,7 +81,7 @@ class LightCache(NamedTuple):
     origin: (3,) float32.  size: float32, side of the finest cells (m).
     keys: (T,) uint64, slot: (T,) int32, cell of a key, -1 where the slot is free; T is a power of two.
     radiosity: (B, C, 3 G) float32 W/m^2, in row b the light that left up to b + 1 surfaces, by light groups.
-    bright: (C,) float32, mean of the channels of the radiosity, from other paths: weights that
+    bright: (C,) float32, mean of the channels of the radiosity, from other paths (nearly): weights that
         hang on it are independent of the radiosity's noise, and so do not bias the product.
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
     """
@@ -512,6 +515,7 @@ def build_light_cache(probes: Probes, bounces: int, seed: int, threads: int = 0,
     go_on(0.4)
     _solve(probes, cells, link_cell, seen_cell, parent, level_of, np.float32(NEAR * size), radiosity, threads, go_on)
     _brightness(probes, cells, link_cell, parent, level_of, np.float32(GUIDE_PRIOR), radiosity, cache.bright, np.zeros(count, np.float32))
+    np.maximum(cache.bright, LEAST_BRIGHT * _THIRD * radiosity[-1].sum(axis=1), out=cache.bright)
     return cache._replace(tau=np.float32(max(seen_light(cache, probes, seed + 1), 1e-30)))
 
 

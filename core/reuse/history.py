@@ -100,7 +100,9 @@ def _pixel_width(camera, depth):
 
 @kernel
 def _reproject_rows(now, before, light, was, moved, begin, end, out, coverage):
-    """Light (H, W, C) of an earlier frame at the pixels of rows begin..end-1, and how much of the four taps was theirs.
+    """Light (H, W, C) of an earlier frame at the pixels of rows begin..end-1, and how much of the four taps around was theirs.
+
+    The light is that of the nearest such tap, not of the mean of all: noise that neighbouring pixels share stays through a denoiser.
 
     was: (H, W, 3), where the pixels' surfaces lay at that time, relative to its origin.  moved: (H, W), where that is elsewhere.
     """
@@ -126,7 +128,7 @@ def _reproject_rows(now, before, light, was, moved, begin, end, out, coverage):
             ix, iy = int(np.floor(fx)), int(np.floor(fy))
             fx, fy = fx - np.float32(ix), fy - np.float32(iy)
             nx, ny, nz = now.normal[y, x, 0], now.normal[y, x, 1], now.normal[y, x, 2]
-            total = _0
+            total, most, best_x, best_y = _0, _0, 0, 0
             for k in range(4):
                 tx, ty = ix + (k & 1), iy + (k >> 1)
                 weight = (fx if k & 1 else _1 - fx) * (fy if k >> 1 else _1 - fy)
@@ -146,14 +148,12 @@ def _reproject_rows(now, before, light, was, moved, begin, end, out, coverage):
                 if (dx * dx + dy * dy + dz * dz) * max(slant, np.float32(0.1)) > reach * reach:
                     continue
                 total += weight
-                for c in range(channels):
-                    out[y, x, c] += weight * light[ty, tx, c]
+                if weight > most:
+                    most, best_x, best_y = weight, tx, ty
             if total > LEAST_COVERAGE:
                 coverage[y, x] = total
                 for c in range(channels):
-                    out[y, x, c] /= total
-            else:
-                out[y, x, :] = _0
+                    out[y, x, c] = light[best_y, best_x, c]
 
 
 def positions_at(estimate: Estimate, now: Estimate) -> tuple[np.ndarray, np.ndarray]:

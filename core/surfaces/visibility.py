@@ -8,8 +8,8 @@ from ..jit import kernel, leaf
 from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_FAR, T_NEAR, WIDTH
 from ..rays.trace import ALL, COHERENT, CUTOUT, OPAQUE, intersect1, occluded_packet
 from ..sampling.hashing import uniform
-from ..scene import TRANSPARENT
-from .layout import TRANSPARENCY, passing_chance
+from ..scene import CURVED, TRANSPARENT
+from .layout import REFRACTION, TRANSPARENCY, passing_chance
 from .program import MEAN_VIEW, evaluate
 
 MAX_PASSED = 128  # transparent surfaces on one segment; what lies behind more counts as dark
@@ -19,25 +19,29 @@ _1 = np.float32(1.0)
 
 @leaf
 def transmittance1(rays, materials, material, attributes, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near, t_far, kinds):
-    """Transmittance (r, g, b) of the transparent triangles along one segment.
+    """Transmittance (r, g, b) of the transparent triangles along one segment, and how much of that passed no glass: -1 where curved glass bends it.
 
     For segments that the OPAQUE set does not block.  packet, rows, surface: scratch (`new_packet`,
     `new_registers`, (SURFACE,) float32); the packet's lanes stay as they are.
     """
-    r = g = b = _1
+    r = g = b = clear = _1
+    bent = False
     start = t_near
     for _ in range(MAX_PASSED):
         triangle, t, u, v = intersect1(rays, CUTOUT, packet, ox, oy, oz, dx, dy, dz, start, t_far, kinds)
         if triangle < 0:
-            return r, g, b
+            return r, g, b, -_1 if bent else clear
         evaluate(materials, material[triangle], attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
         r *= surface[TRANSPARENCY]
         g *= surface[TRANSPARENCY + 1]
         b *= surface[TRANSPARENCY + 2]
         if not max(r, g, b) > np.float32(1e-4):
             break
+        through = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
+        bent |= materials.flags[material[triangle]] & CURVED != 0
+        clear *= max(_0, _1 - (surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]) / through)
         start = t + np.float32(1e-5) * abs(t)
-    return _0, _0, _0
+    return _0, _0, _0, _1
 
 
 @kernel
@@ -62,7 +66,7 @@ def shadow_packet(rays, materials, material, attributes, packet, rows, surface, 
     occluded_packet(rays, CUTOUT, packet, count)
     for lane in range(count):
         if end[lane] != OCCLUDED and f[T_FAR * WIDTH + lane] == OCCLUDED:
-            transmitted[lane, 0], transmitted[lane, 1], transmitted[lane, 2] = transmittance1(
+            transmitted[lane, 0], transmitted[lane, 1], transmitted[lane, 2], _ = transmittance1(
                 rays, materials, material, attributes, packet, rows, surface,
                 f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
                 f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane],

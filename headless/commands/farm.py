@@ -7,16 +7,21 @@ import json
 import tempfile
 from argparse import Namespace
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import bpy
+
+from ...addon.lightmaps import choose_objects, unwrap
 from ...core.errors import SceneError
 from ...core.layers import read_exr, write_exr, write_whole
-from ..console import Terminal
+from ..console import Terminal, quiet
 from ..frames import numbered
 from ..outputs import whole_folder
+from ..sources import open_source
+from .bake import LIST, request_of
+from .bake import SCENE as PREPARED
 from .render import write_summary
-
-LIST = "lightmaps.json"
 
 
 def run(arguments: Namespace, terminal: Terminal) -> None:
@@ -109,23 +114,41 @@ def _lightmaps(arguments: Namespace, client, terminal: Terminal) -> None:
     from ..farm.job import job_name
     from ..farm.parts import OUTPUT, SCENE, Part, identify
 
-    scene, digest, content = identify(arguments.scene)
-    name = job_name()
-    parts = [
-        Part(f"{name}-{object_}", ("bake", SCENE, "-o", f"{OUTPUT}/maps", "--objects", object_, *arguments.rest), scene, digest)
-        for object_ in arguments.bake
-    ]
-    listed: list[dict] = []
+    name, listed = job_name(), []
     with whole_folder(arguments.output) as folder:
-        for part, result in _results(client, parts, content, terminal):
+        groups, made = _unwrapped(arguments, folder / PREPARED)
+        scene, digest, content = identify(str(folder / PREPARED) if made else arguments.scene)
+        parts = {}
+        for k, group in enumerate(groups):
+            argv = ("bake", SCENE, "-o", f"{OUTPUT}/maps", "--objects", ",".join(group), *["--atlas"] * (len(group) > 1), *arguments.rest)
+            parts[f"{name}-{k}"] = k, Part(f"{name}-{k}", argv, scene, digest, len(group))
+        several = sum(len(group) > 1 for group in groups) > 1
+        for part, result in _results(client, [part for _, part in parts.values()], content, terminal):
             files = {Path(file).name: data for file, data in result["files"].items()}
-            if any(file.endswith(".blend") for file in files):
-                raise SceneError(
-                    f"object {part.argv[5]!r} has no UV map to bake on; run `lumigate bake` once and use the scene.blend it leaves"
-                )
-            listed.append(json.loads(files.pop(LIST)))
-            for file, data in files.items():
-                (folder / file).write_bytes(data)
+            found = json.loads(files[LIST])
+            for image in found["images"]:
+                data = files[image["file"]]
+                if several and len(image["objects"]) > 1:
+                    file = Path(image["file"])
+                    image["file"] = f"{file.stem}-{parts[part.key][0] + 1}{file.suffix}"
+                (folder / image["file"]).write_bytes(data)
+            listed.append(found)
         images = sorted((image for found in listed for image in found["images"]), key=lambda image: image["objects"])
         (folder / LIST).write_text(json.dumps({**listed[0], "images": images}, indent=2) + "\n", encoding="utf-8")
-    terminal.out.print(f"{arguments.output}: lightmaps of {len(parts)} objects", markup=False, soft_wrap=True)
+    terminal.out.print(f"{arguments.output}: {len(images)} lightmaps", markup=False, soft_wrap=True)
+
+
+def _unwrapped(arguments: Namespace, file: Path) -> tuple[list[list[str]], bool]:
+    """Names of the objects of each image; whether some needed a UV map: the scene with all of them is in `file` then.
+
+    Workers that unwrapped them by themselves would each leave a scene with the UV maps of its own objects only.
+    """
+    scene = open_source(arguments.scene)
+    groups = [[text] if text in scene.objects else text.split("+") for text in arguments.bake]
+    request, made = request_of(arguments.baking), False
+    for group in groups:
+        made |= bool(unwrap(choose_objects(scene, group), replace(request, atlas=len(group) > 1))[0]) or len(group) > 1
+    if made:
+        with quiet():
+            bpy.ops.wm.save_as_mainfile(filepath=str(file), copy=True, compress=True)
+    return groups, made

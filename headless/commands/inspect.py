@@ -7,12 +7,14 @@ from argparse import Namespace
 from rich.markup import escape
 from rich.table import Table
 
-from ...core.inspection import contents, foresee, savings
+from ...core.inspection import contents, foresee
 from ...core.lamps import build_emitters
 from ...core.memory import estimate
+from ...core.pipeline import glance
 from ...core.scene import Scene
 from ...core.settings import RenderSettings
 from ...core.soundness import sound
+from ...core.topology import Topology
 from ..console import Terminal
 from ..results import write_json
 from ..sources import extract, open_source
@@ -23,20 +25,25 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     """Print the report, and write it as JSON where asked."""
     source = open_source(arguments.scene)
     scene = extract(source, camera=arguments.camera, size=arguments.size, frame=arguments.frame)
-    report = inspect(scene)
+    topology = None
     if arguments.topology or arguments.skeleton is not None:
         with terminal.waiting("topology"):
             topology = StoredTopologies().of(scene, arguments.voxels)
+    report = inspect(scene, topology)
+    if topology is not None:
         report["topology"] = summary(topology)
-        if arguments.skeleton is not None:
-            write_obj(arguments.skeleton, topology, scene.origin)
+    if arguments.skeleton is not None:
+        write_obj(arguments.skeleton, topology, scene.origin)
     _print(report, arguments.scene or source.name, terminal)
     if arguments.json is not None:
         write_json(arguments.json, report)
 
 
-def inspect(scene: Scene) -> dict:
-    """`core.inspection.contents` of `scene`, what a render with all defaults takes and saves, and `skipped` and `warnings` as in `--stats`."""
+def inspect(scene: Scene, topology: Topology | None = None) -> dict:
+    """`core.inspection.contents` of `scene`, what a render with all defaults takes and saves, and `skipped` and `warnings` as in `--stats`.
+
+    topology: of the scene, where it is wanted: what it leaves out is then told, too.
+    """
     request = RenderSettings().with_defaults()
     scene = sound(scene)
     emitters = build_emitters(scene)
@@ -44,7 +51,7 @@ def inspect(scene: Scene) -> dict:
     return {
         **contents(scene, emitters),
         "memory_mib": estimate(scene, request) / 2**20,
-        "savings": savings(scene, emitters, request.direct_samples),
+        "savings": glance(scene, request, topology),
         "skipped": [vars(s) for s in (*scene.skipped, *skipped)],
         "warnings": [*scene.warnings, *warnings],
     }

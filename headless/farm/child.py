@@ -1,8 +1,8 @@
 """The process beside a farm's worker that holds Blender: it runs one command line after the other.
 
-Requests are lines of JSON on its standard input, lists of arguments; answers are lines of JSON on its standard output:
-{"status": exit status, "said": what the command wrote for the user}.  Blender wants a process, and its main thread, to itself;
-a crash of it does not take the worker along.
+Requests are lines of JSON on its standard input, {"argv": arguments, "folder": where they are run, so that no relative path leads
+elsewhere}; answers are lines of JSON on its standard output: {"status": exit status, "said": what the command wrote for the user}.
+Blender wants a process, and its main thread, to itself; a crash of it does not take the worker along.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import io
 import json
 import os
 import sys
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import chdir, redirect_stderr, redirect_stdout
 
 
 def serve() -> None:
@@ -22,9 +22,9 @@ def serve() -> None:
     from ..cli import main
 
     for line in sys.stdin:
-        said = io.StringIO()
-        with redirect_stderr(said), redirect_stdout(io.StringIO()):
-            status = main(json.loads(line))
+        request, said = json.loads(line), io.StringIO()
+        with chdir(request["folder"]), redirect_stderr(said), redirect_stdout(io.StringIO()):
+            status = main(request["argv"])
         print(json.dumps({"status": status, "said": said.getvalue()}), file=answers)
 
 

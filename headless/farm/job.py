@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import os
 import statistics
 import tempfile
@@ -23,6 +24,8 @@ from .parts import Part
 from .worker import FarmError, FarmNanny, do_part, versions
 
 CONNECT = 15  # s
+AWAITED = 60  # s in which another worker comes where all are lost
+FETCHED = 120  # s in which a part's files come from its worker
 LOOK = 1.0  # s between two looks at what is going on
 TRIES = 20  # of a part whose worker is lost
 GONE = "the scheduler has gone; start it again, and the job with --skip-existing"
@@ -31,7 +34,7 @@ SLOW = 3.0  # times the usual time of a part, after which an idle worker tries i
 
 @contextmanager
 def connected(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client of a scheduler, or of as many workers on this machine; SceneError where there is none to be reached."""
+    """A client of a scheduler, or of as many workers on this machine; SceneError where there is none to be reached, or nobody to work."""
     with ExitStack() as stack:
         # A part that outlives many workers is no fault of its own: how often it is tried, the job says.
         stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": TRIES}))
@@ -44,10 +47,16 @@ def connected(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             stack.enter_context(cluster)
         try:
             client = stack.enter_context(Client(scheduler or cluster, timeout=CONNECT))
-        except (OSError, TimeoutError, ValueError) as error:
+        except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:  # the last two: certificates are missing
             reason = str(error) or type(error).__name__
             raise SceneError(
                 f"no scheduler answers at {scheduler!r} ({reason}); start one with `dask scheduler`, or use --workers"
+            ) from error
+        try:
+            client.wait_for_workers(1, timeout=CONNECT)
+        except TimeoutError as error:
+            raise SceneError(
+                f"no worker has come to the scheduler at {scheduler!r}; start some with `dask worker` (docs/farm.md)"
             ) from error
         yield client
 
@@ -59,11 +68,13 @@ def local_threads(workers: int | None) -> int:
 
 @dataclass
 class _Running:
+    """A part under way; seen: when it was first seen with a worker, which may have another one before it."""
+
     part: Part
     futures: list[Future] = field(default_factory=list)
     tries: int = 1
     copied: bool = False
-    since: float = field(default_factory=monotonic)
+    seen: float = math.inf
 
 
 class Job:
@@ -117,7 +128,7 @@ class Job:
                 others = [future for future in running.futures if future is not done]
                 if others:
                     self._client.cancel(others, force=True)
-                self._took.append(monotonic() - running.since)
+                self._took.append(result["seconds"])
                 yield running.part, result
         finally:
             self.cancel()
@@ -125,10 +136,10 @@ class Job:
     def _result(self, running: _Running, done: Future, tell: Callable[[str], None]) -> dict | None:
         """What a part gave; None where it is tried again."""
         try:
-            return done.result()
+            return done.result(timeout=FETCHED)
         except FarmError as error:
             raise SceneError(str(error)) from error
-        except (KilledWorker, ConnectionError, CommClosedError, CancelledError) as error:
+        except (KilledWorker, ConnectionError, CommClosedError, CancelledError, TimeoutError) as error:
             if self._client.status != "running":
                 raise SceneError(GONE) from error
             running.tries += 1
@@ -136,24 +147,38 @@ class Job:
                 raise SceneError(f"{running.part.key} has lost {TRIES} workers; try it alone, with fewer threads or less memory") from error
             tell(f"{running.part.key}: its worker was lost ({type(error).__name__}); it is tried again")
             running.futures.remove(done)
+            running.seen = math.inf
+            self._await_worker(tell)
             self._send()
             self._submit(running, f"{running.part.key}-try-{running.tries}")
             return None
+
+    def _await_worker(self, tell: Callable[[str], None]) -> None:
+        """Go on as soon as there is a worker; SceneError where none comes."""
+        if self._client.nthreads():
+            return
+        tell("all workers are lost; waiting for another one")
+        try:
+            self._client.wait_for_workers(1, timeout=AWAITED)
+        except TimeoutError as error:
+            raise SceneError(f"all workers are lost, and none came in {AWAITED} s; start some, and the job with --skip-existing") from error
 
     def _look_around(self, tell: Callable[[str], None]) -> None:
         """Whether the scheduler is there; a part that takes far longer than others goes to a worker that has nothing to do, too."""
         if self._client.status != "running":
             raise SceneError(GONE)
+        self._await_worker(tell)
         if len(self._took) < 2:
             return
-        usual = max(statistics.median(self._took), LOOK)
-        slow = [running for running in self._running.values() if not running.copied and monotonic() - running.since > SLOW * usual]
-        if not slow:
-            return
-        processing = self._client.processing()
+        now, processing = monotonic(), self._client.processing()
         begun = {str(key) for keys in processing.values() for key in keys}
+        for running in self._running.values():
+            if any(future.key in begun for future in running.futures):
+                running.seen = min(running.seen, now)
+        usual = max(statistics.median(self._took), LOOK)
+        slow = [running for running in self._running.values() if not running.copied and now - running.seen > SLOW * usual]
         idle = [worker for worker, keys in processing.items() if not keys]
-        for running, worker in zip((running for running in slow if running.part.key in begun), idle):
+        for running, worker in zip(slow, idle):
             tell(f"{running.part.key} is slow: another worker tries it, too")
             running.copied = True
             self._submit(running, f"{running.part.key}-copy", workers=[worker], allow_other_workers=False)

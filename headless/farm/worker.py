@@ -13,10 +13,11 @@ import sys
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
+from time import perf_counter
 
 from distributed import Nanny, Worker, get_worker
 
-from ... import __version__
+from ... import __version__, sample_scenes
 from ...core.layers import write_whole
 from .parts import OUTPUT, SCENE, Part
 
@@ -98,10 +99,10 @@ class Blender:
         """Whether it can be asked."""
         return self._process.poll() is None
 
-    def ask(self, argv: list[str], wanted) -> dict:
-        """The answer to a command line; ConnectionError where Blender has ended, or `wanted()` is no longer true."""
+    def ask(self, argv: list[str], folder: str, wanted) -> dict:
+        """The answer to a command line, run in a folder; ConnectionError where Blender has ended, or `wanted()` is no longer true."""
         try:
-            self._process.stdin.write(json.dumps(argv) + "\n")
+            self._process.stdin.write(json.dumps({"argv": argv, "folder": folder}) + "\n")
             while not select.select([self._process.stdout], [], [], POLL)[0]:
                 if not wanted():
                     self.close()
@@ -121,7 +122,7 @@ class Blender:
 
 
 def do_part(part: Part, expected: dict[str, str], scene: bytes | None = None) -> dict:
-    """Do one part on the worker that this runs on: {"files": {name: bytes}, "said": lines for the user}.
+    """Do one part on the worker that this runs on: {"files": {name: bytes}, "said": lines for the user, "seconds": that it took}.
 
     scene: the file's content, where it is no sample scene; kept in the worker's folder under its hash.
 
@@ -133,16 +134,18 @@ def do_part(part: Part, expected: dict[str, str], scene: bytes | None = None) ->
     if wrong:
         raise FarmError(f"worker {worker.address} has {', '.join(wrong)}; install the same there")
     if part.argv == PING:
-        return {"files": {}, "said": ""}
+        return {"files": {}, "said": "", "seconds": 0.0}
+    begin = perf_counter()
     root = Path(worker.local_directory)
     with tempfile.TemporaryDirectory(prefix="part-", dir=root) as folder:
         argv = command_line(part, _scene_file(root, part, scene), Path(folder))
-        answer = _blender(worker).ask(argv, lambda: _wanted(worker, part.key))
+        key = worker.get_current_task()  # not the part's: another try of it has another one
+        answer = _blender(worker).ask(argv, folder, lambda: _wanted(worker, key))
         said = answer["said"].strip()
         if answer["status"] != 0:
             raise FarmError(said.removeprefix("lumigate: error: ") or f"the command ended with status {answer['status']}")
         files = {file.relative_to(folder).as_posix(): file.read_bytes() for file in sorted(Path(folder).rglob("*")) if file.is_file()}
-    return {"files": files, "said": said}
+    return {"files": files, "said": said, "seconds": perf_counter() - begin}
 
 
 def command_line(part: Part, scene: str, folder: Path) -> list[str]:
@@ -158,8 +161,10 @@ def command_line(part: Part, scene: str, folder: Path) -> list[str]:
 
 
 def _scene_file(root: Path, part: Part, content: bytes | None) -> str:
-    """A sample scene's name, or the scene's file in the worker's folder."""
+    """A sample scene's name, or the scene's file in the worker's folder; FarmError where it is neither."""
     if part.digest is None:
+        if part.scene not in sample_scenes.NAMES:
+            raise FarmError(f"{part.scene!r} is no sample scene, and its file was not sent")
         return part.scene
     path = root / "scenes" / f"{part.digest}{Path(part.scene).suffix}"
     if not path.is_file():

@@ -8,7 +8,8 @@ import numpy as np
 
 from ...core import scene as sc
 from ...core.surfaces.layout import DIFFUSE, EMISSION, GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE
-from ...core.surfaces.program import empty_tables
+from ...core.surfaces.program import ATTRIBUTE, DIFFUSE_CLOSURE, END, REGISTERS, TEXTURE, empty_tables
+from ...core.surfaces.textures import LINEAR, REPEAT, TexturePool
 
 
 def materials(*surfaces) -> sc.Materials:
@@ -31,6 +32,29 @@ def glossy_materials(*surfaces, albedo, roughness) -> sc.Materials:
     stuff.tables.constant[:, ROUGHNESS] = roughness
     stuff.tables.flags[:] |= sc.GLOSSY_LOBE
     return stuff
+
+
+def textured(stuff: sc.Materials, which: int, texels: np.ndarray) -> sc.Materials:
+    """`stuff`, one of whose materials shows a float texture (H, W, 3) by attribute 0 instead of its constant albedo."""
+    pool = TexturePool()
+    texture = pool.add("texture", lambda: texels, REPEAT, LINEAR, 0)
+    header, _, texels_f32 = pool.tables()
+    zero, one = REGISTERS, REGISTERS + 1  # rows of constants
+    code = [
+        [END, *[0] * 7],
+        [ATTRIBUTE, 0, *[zero] * 5, 0],
+        [TEXTURE, 1, 0, *[zero] * 4, texture],
+        [DIFFUSE_CLOSURE, 2, 1, zero, zero, one, zero, 0],
+        [END, *[0] * 7],
+    ]
+    tables = stuff.tables._replace(
+        code=np.array(code, np.int32),
+        constants=np.array([[0, 0, 0, 1], [1, 1, 1, 1]], np.float32),
+        texture_header=header,
+        texels_f32=texels_f32,
+    )
+    tables.start[which], tables.flags[which] = 1, 0
+    return sc.Materials(stuff.names, tables)
 
 
 def geometry(vertices, triangles, material=None, corner_normals=None) -> sc.Geometry:

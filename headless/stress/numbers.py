@@ -38,6 +38,12 @@ def _roughness(scene: sc.Scene, bad: float) -> None:
     scene.materials.tables.constant[3, ROUGHNESS] = bad
 
 
+def _texel(scene: sc.Scene, bad: float) -> None:
+    texels = np.full((4, 4, 3), 0.5, np.float32)
+    texels[0, 0, 1] = bad
+    scene.materials = arrays.textured(scene.materials, 3, texels)
+
+
 def _strength(scene: sc.Scene, bad: float) -> None:
     scene.lamps = arrays.lamps(bulb(), bulb())
     scene.lamps.emission[1, 2] = bad
@@ -81,6 +87,7 @@ PLACES: dict[str, Callable[[sc.Scene, float], None]] = {
     "an albedo": _albedo,
     "a shining material": _emission,
     "a roughness": _roughness,
+    "a pixel of a texture": _texel,
     "a lamp's strength": _strength,
     "a lamp's place": _place,
     "a lamp's axes": _axes,

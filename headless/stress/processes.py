@@ -25,7 +25,7 @@ SECONDS = 300  # after which a process counts as hung, on a machine that others 
 TOGETHER = 4  # processes on one cache
 OLD = b"what was there before"
 # The interpreter's own start is not ours: the clock runs from when the command line is there to hear.
-START = "import sys; from lumigate.headless.cli import main; print('ready', flush=True); sys.exit(main(sys.argv[1:]))"
+START = "from lumigate.headless.cli import program; print('ready', flush=True); program()"
 RENDER = ("render", "cornell", "-o", "out.exr", "--size", "96x54", "--vpls", "256", "--pixel-samples", "2")
 GATES = ("--method", "visibility-gates", "--voxels", "32")
 # A kernel compiled as by a fresh process, and the hash of what it gives.

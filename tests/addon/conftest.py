@@ -44,7 +44,7 @@ class Compared:
 
     @property
     def diffuse(self) -> np.ndarray:
-        return np.array([layout.diffuse_albedo.py_func(s, np.float32(self.cosine)) for s in self.surfaces])
+        return np.array([layout.diffuse_albedo(s, np.float32(self.cosine)) for s in self.surfaces])
 
     @property
     def emission(self) -> np.ndarray:

@@ -81,9 +81,9 @@ def points_at(n, roughness, cosine=0.7, f0=0.5, f90=1.0, albedo=0.0, position=(0
 
 def radiance(scene, points, samples=16, reflections=8, seed=1, threads=0):
     """Mean direct and indirect radiance of equal points, and the standard error of the direct one."""
-    _, lit, _ = direct_light(scene.tables, points, samples, seed, threads, reflections=reflections)
+    light, _ = direct_light(scene.tables, points, samples, seed, threads, reflections=reflections)
     shown, indirect, *_ = reflect(scene.tables, points, samples, reflections, 4, seed, threads)
-    both = (lit + shown)[:, 0]
+    both = (light.glossy + shown)[:, 0]
     return *mean_and_error(both), indirect[:, 0].mean(dtype=float)
 
 
@@ -247,8 +247,8 @@ def test_what_glossy_rays_do_not_see_gives_no_highlight():
     row = lamp(sc.AREA, 5, (0.3, 0.2, 1.5), size=(1.5, 0.7), visibility=sc.ALL_RAYS & ~sc.GLOSSY)
     scene = Set(row)
     points = points_at(64, 0.4)
-    irradiance, _, _ = direct_light(scene.tables, points, 16, 1, reflections=8)
-    assert irradiance.all()
+    light, _ = direct_light(scene.tables, points, 16, 1, reflections=8)
+    assert light.irradiance.all() and not light.irradiance_by_glass.any()
     assert radiance(scene, points)[0] == 0
 
 
@@ -330,11 +330,11 @@ def test_faint_lobes_cost_nothing():
 
 def test_lobes_leave_the_irradiance_as_it_is():
     scene = Set(SIZED["area"], SIZED["sun"])
-    lit, _, rays = direct_light(scene.tables, points_at(100, 0.5), 16, 3, reflections=8)
-    dull, none, same = direct_light(scene.tables, points_at(100, 0.5, f0=0, f90=0), 16, 3, reflections=8)
-    assert np.array_equal(lit, dull)
+    lit, rays = direct_light(scene.tables, points_at(100, 0.5), 16, 3, reflections=8)
+    dull, same = direct_light(scene.tables, points_at(100, 0.5, f0=0, f90=0), 16, 3, reflections=8)
+    assert np.array_equal(lit.irradiance, dull.irradiance)
     assert rays == same
-    assert not none.any()
+    assert not dull.glossy.any()
 
 
 def test_material_columns_are_those_of_the_layout():

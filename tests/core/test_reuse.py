@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lumigate.core import rays
+from lumigate.core.picture import Picture
 from lumigate.core.pipeline import remember, render, scout
 from lumigate.core.reuse import Sequence
 from lumigate.core.reuse.history import Estimate, reproject, trust
@@ -134,6 +135,31 @@ def test_reprojection_finds_the_same_place_and_nothing_else(room):
     known = coverage > 0
     assert 0.6 < known.mean() < 1  # what has come into view is not known
     assert np.abs(light - now.light)[known].max() < 4 * 4 / SIZE  # a pixel or two, never from the block to the wall behind
+
+
+def test_noise_of_neighbouring_pixels_is_not_mixed(room):
+    rng = np.random.default_rng(3)
+    before, now = estimates([room, moved_camera(room, (0.3, 0.1, 0))], lambda p, s: rng.random(p.shape))
+    light, coverage = reproject(before, now, 1)
+    assert np.isin(light[coverage > 0], before.light).all()  # a mean would be correlated noise, which a denoiser takes for a texture
+
+
+def test_the_denoiser_counts_the_rays_that_history_stands_for(room, monkeypatch):
+    qualities = []
+    original = Picture.denoised
+
+    def denoised(self, *args, quality, **options):
+        qualities.append(quality)
+        return original(self, *args, quality=quality, **options)
+
+    monkeypatch.setattr(Picture, "denoised", denoised)
+    shared = SequenceSettings(history=1)
+    settings = shared.frame(replace(SETTINGS, samples=8, gather=8, denoise=True))
+    with Sequence(shared) as sequence:
+        for k in range(2):
+            render(sequence.begin(moved_camera(room, (0.1 * k, 0, 0)), k), settings, sequence=sequence)
+    assert settings.samples == 4
+    assert qualities[-1] == "balanced"
 
 
 def test_reprojection_follows_a_moving_object(room):

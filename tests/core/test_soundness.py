@@ -10,6 +10,7 @@ NAMED = {
     "an albedo": "material 'material 3'",
     "a shining material": "material 'material 3'",
     "a roughness": "material 'material 3'",
+    "a pixel of a texture": "1 values of image textures",
     "a lamp's place": "lamp 'lamp'",
     "a lamp's axes": "lamp 'lamp'",
     "a lamp's size": "lamp 'lamp'",

@@ -21,7 +21,7 @@ from lumigate.core.layers import CONTRACT, read_exr
 from lumigate.headless import arguments
 from lumigate.headless.bench_steps import Step
 from lumigate.headless.bench_suites import STEPS
-from lumigate.headless.cli import main
+from lumigate.headless.cli import main, program
 from lumigate.headless.frames import numbered
 from lumigate.headless.sources import OLDEST_BLENDER
 
@@ -185,9 +185,9 @@ def test_demo_leaves_layers_pictures_and_figures(tmp_path, capsys):
     assert "shadow rays" in capsys.readouterr().out
 
 
-def test_console_script_is_this_main():
+def test_console_script_is_this_program():
     (script,) = entry_points(group="console_scripts", name="lumigate")
-    assert script.load() is main
+    assert script.load() is program
 
 
 # `blender -b FILE --python headless/cli.py -- ARGS`, from a checkout in a folder of any name.

@@ -8,9 +8,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
+import dask
 import numpy as np
 import pytest
-from distributed import Client
+from distributed import Client, LocalCluster
 
 from lumigate import sample_scenes
 from lumigate.core.errors import SceneError
@@ -18,7 +19,7 @@ from lumigate.core.layers import read_exr
 from lumigate.headless import arguments
 from lumigate.headless.cli import main
 from lumigate.headless.farm import job, parts
-from lumigate.headless.farm.worker import FarmError, FarmWorker, command_line, do_part, versions
+from lumigate.headless.farm.worker import PING, FarmError, FarmWorker, command_line, do_part, versions
 from lumigate.headless.farm_bench import killing
 
 SMALL = ["--vpls", "16", "--pixel-samples", "2", "--bounces", "2", "--no-denoise", "--threads", "1"]
@@ -102,18 +103,23 @@ def test_tiles_make_the_still(farm, scene, tmp_path):
     np.testing.assert_allclose(still["Albedo"], read_exr(tmp_path / "whole.exr")["Albedo"], atol=1e-6)
 
 
-def test_lightmaps_have_the_bits_of_one_machine(farm, tmp_path):
-    room = ["--size", "16", *SMALL[:2], "--no-denoise", "--threads", "1"]
-    assert main(["bake", "cornell", "-o", str(tmp_path / "first"), "--objects", "Room", *room]) == 0
-    scene = str(tmp_path / "first" / "scene.blend")  # with its UV map
-    assert main(["bake", scene, "-o", str(tmp_path / "one"), "--objects", "Room", *room]) == 0
-    argv = ["farm", scene, "-o", str(tmp_path / "farm"), "--bake", "Room", "--size", "16x16", *room[2:]]
+def test_lightmaps_and_atlases_have_the_bits_of_one_machine(farm, tmp_path):
+    options = ["--vpls", "16", "--texel-samples", "1", "--no-denoise", "--threads", "1"]
+    blocks = ["Tall block", "Short block"]
+    argv = ["farm", "cornell", "-o", str(tmp_path / "farm"), "--bake", f"Room,{'+'.join(blocks)}", "--size", "32x32", *options]
     assert main([*argv, "--scheduler", address(farm)]) == 0
-    image = json.loads((tmp_path / "farm" / "lightmaps.json").read_text())["images"][0]
-    assert image["objects"] == ["Room"]
-    ours, theirs = (read_exr(tmp_path / folder / image["file"]) for folder in ("farm", "one"))
-    for name in theirs:
-        np.testing.assert_array_equal(ours[name], theirs[name])
+    images = json.loads((tmp_path / "farm" / "lightmaps.json").read_text())["images"]
+    assert [image["objects"] for image in images] == [["Room"], sorted(blocks)]
+    for objects, image in ((["--objects", "Room"], images[0]), (["--objects", ",".join(blocks), "--atlas"], images[1])):
+        alone = tmp_path / image["objects"][0]
+        assert main(["bake", "cornell", "-o", str(alone), *objects, "--size", "32", *options]) == 0
+        ours, theirs = (read_exr(folder / image["file"]) for folder in (tmp_path / "farm", alone))
+        assert set(ours) == set(theirs)
+        for name in theirs:
+            np.testing.assert_array_equal(ours[name], theirs[name])
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "farm" / "scene.blend"))
+    assert "Lightmap" in bpy.data.objects["Room"].data.uv_layers
+    assert all("Lightmap Atlas" in bpy.data.objects[name].data.uv_layers for name in blocks)
 
 
 def test_worker_does_our_work_only(farm):
@@ -141,6 +147,58 @@ def test_unreachable_scheduler_is_one_line(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(job, "CONNECT", 1)
     assert main(["farm", "cornell", "-o", str(tmp_path / "f.exr"), "--scheduler", "127.0.0.1:9", *FRAMES]) == 2
     assert "no scheduler answers at '127.0.0.1:9'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("setting", "where", "told"),
+    [
+        ({"distributed.comm.require-encryption": True}, "127.0.0.1:9", "encryption required"),
+        ({}, "tls://127.0.0.1:9", "TLS configuration"),
+    ],
+)
+def test_missing_certificates_are_one_line(setting, where, told, tmp_path, capsys):
+    with dask.config.set(setting):
+        assert main(["farm", "cornell", "-o", str(tmp_path / "f.exr"), "--scheduler", where, *FRAMES]) == 2
+    error = capsys.readouterr().err.strip()
+    assert "\n" not in error
+    assert told in error
+
+
+def test_a_scheduler_without_workers_is_one_line(scene, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(job, "CONNECT", 1)
+    with LocalCluster(n_workers=0, dashboard_address=":0", silence_logs=50) as empty:
+        where = empty.scheduler_address
+        assert main(["farm", str(scene), "-o", str(tmp_path / "f.exr"), "--scheduler", where, *FRAMES]) == 2
+    assert f"no worker has come to the scheduler at '{where}'" in capsys.readouterr().err
+
+
+def test_a_part_on_a_worker_that_hangs_is_done_by_another(farm, monkeypatch):
+    monkeypatch.setattr(job, "LOOK", 0.05)
+    monkeypatch.setattr(job, "FETCHED", 2)
+    render = ("render", parts.SCENE, "-o", f"{parts.OUTPUT}/f.exr", "--size", "16x16", *SMALL)
+    todo = [parts.Part(f"{job.job_name()}-{k}", PING if k < 4 else render, "cornell", None) for k in range(8)]
+    said, done, stopped = [], {}, []
+    try:
+        for part, result in job.Job(farm, todo).results(said.append):
+            done[part.key] = list(result["files"])
+            if not stopped:
+                stopped.append(next(iter(farm.cluster.workers.values())).pid)
+                os.kill(stopped[0], signal.SIGSTOP)
+    finally:
+        os.kill(stopped[0], signal.SIGCONT)
+    assert done == {part.key: [] if part.argv == PING else ["f.exr"] for part in todo}
+    assert any("is slow: another worker tries it, too" in line for line in said)
+
+
+def test_a_command_line_runs_in_a_folder_of_its_own(farm):
+    part = parts.Part(job.job_name(), ("render", parts.SCENE, "-osmall.exr", "--size", "16x16", *SMALL), "cornell", None)
+    assert list(farm.submit(do_part, part, versions(), key=part.key).result()["files"]) == ["small.exr"]
+
+
+def test_no_scene_of_the_workers_machine_is_opened(farm, scene):
+    part = parts.Part(job.job_name(), ("render", parts.SCENE, "-o", f"{parts.OUTPUT}/f.exr"), str(scene), None)
+    with pytest.raises(FarmError, match="is no sample scene, and its file was not sent"):
+        farm.submit(do_part, part, versions(), key=part.key).result()
 
 
 @pytest.mark.parametrize("text", ["/etc/passwd", "../x.exr", "{output}/../x.exr"])

@@ -1,4 +1,4 @@
-"""Glass against Cycles: what is seen through it is transmitted light, what it reflects is glossy light."""
+"""Glass against Cycles: what is seen through it is transmitted light, what it reflects is glossy, what lamps send through it is indirect."""
 
 import hashlib
 import math
@@ -45,8 +45,8 @@ def slab(scene, x0, x1, y0, y1, z0, z1, surface):
 def showcase():
     """A lit corner with signs, seen through a slab of glass, through a film that refracts nothing, through a veil, and free.
 
-    The world shines in above.  A bright sign behind the camera shows in the slab.  No light passes glass to reach a surface,
-    for Cycles calls that indirect: the world lights nothing, the bright sign is far away, and panes hide nothing from walls.
+    The world shines in above.  A bright sign behind the camera shows in the slab.  No light passes glass to reach a surface:
+    the world lights nothing, the bright sign is far away, and panes hide nothing from walls.
     """
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
@@ -121,3 +121,69 @@ def test_denoising_keeps_the_books():
             before, after = (layers[name][:, columns].mean((0, 1), dtype=float) for layers in (raw, clean))
             np.testing.assert_allclose(after, before, rtol=0.05, atol=0.005, err_msg=f"{name} {behind}")
     assert not clean["DiffuseIndirect"][:, BEHIND["slab"]].any()
+
+
+# -- light that passes glass on its way from the lamp --------------------------------------------------------
+
+ROOFS = ("slab", "film", "veil")
+
+
+def booths(lamps):
+    """Three boxes whose floors are lit through their roofs only: a slab of glass, a film that refracts nothing, a veil.
+
+    lamps: "area", one above each roof, or "world".
+    """
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    floor = material("Floor", Base_Color=(0.7, 0.6, 0.5, 1), Specular_IOR_Level=0.0)
+    black = material("Black", Base_Color=(0, 0, 0, 1), Specular_IOR_Level=0.0)
+    glass = material("Glass", Transmission_Weight=1.0, Roughness=0.0, IOR=1.5, Base_Color=(0.81, 1, 0.64, 1))
+    film = shader("Film", "ShaderNodeBsdfRefraction", Color=(0.5, 0.8, 1, 1), IOR=1.0)
+    veil = shader("Veil", "ShaderNodeBsdfTransparent", Color=(0.5, 0.8, 1, 1))
+    for k, roof in enumerate(ROOFS):
+        a, b = 2.0 * k - 3.0, 2.0 * k - 1.0
+        quad(scene, [(a, -1, 0), (b, -1, 0), (b, 1, 0), (a, 1, 0)], floor)
+        for x in (a, b):
+            quad(scene, [(x, -1, 0), (x, 1, 0), (x, 1, 3), (x, -1, 3)], black)
+        for y in (-1, 1):
+            quad(scene, [(a, y, 0), (b, y, 0), (b, y, 3), (a, y, 3)], black)
+        if roof == "slab":
+            slab(scene, a, b, -1, 1, 1.0, 1.02, glass)
+        else:
+            quad(scene, [(a, -1, 1), (b, -1, 1), (b, 1, 1), (a, 1, 1)], film if roof == "film" else veil)
+        scene.collection.objects[-1].visible_camera = False
+        if lamps == "area":
+            lamp(scene, "AREA", (a + 1, 0, 2), energy=60.0, size=1.0, seen=False)
+    if lamps == "world":
+        world = scene.world = bpy.data.worlds.new("World")
+        if world.node_tree is None:  # Blender 4.5
+            world.use_nodes = True
+        world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.5, 0.7, 1, 1)
+    look(scene, (0, 0, 20), (0, 0, 0), type="ORTHO", ortho_scale=6.0)
+    return scene
+
+
+@pytest.mark.parametrize("lamps", ["area", "world"])
+def test_light_that_passes_glass_is_indirect_light(lamps):
+    scene = booths(lamps)
+    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "lamps": lamps}
+    halves = cached_halves(scene, identity, size=(48, 16), spp=1024, bounces=4, seed=1)
+    arrays = extract_scene(scene, size=(48, 16))
+    ours = [render(arrays, RenderSettings(seed=seed, denoise=False, direct_samples=16)).layers for seed in range(SEEDS)]
+    for k, roof in enumerate(ROOFS):
+        floor = np.s_[3:13, 16 * k + 3 : 16 * k + 13]
+        # Each of the slab's two sides passes what its mean Fresnel term leaves: 5 % less than straight below.
+        bound = 0.12 if roof == "slab" else 0.02
+        for name in ("Direct", "DiffuseIndirect"):
+            expected, mine = ([layers[name][floor].mean((0, 1), dtype=float) for layers in some] for some in (halves, ours))
+            noise = np.abs(expected[0] - expected[1]) / 2 + np.std(mine, axis=0, ddof=1) / math.sqrt(SEEDS)
+            mine, expected = np.mean(mine, axis=0), np.mean(expected, axis=0)
+            assert (np.abs(mine - expected) <= bound * expected + 3 * noise + 1e-6).all(), (roof, name)
+            assert (expected > 1e-3).all() == ((name == "Direct") == (roof == "veil"))
+
+
+def test_indirect_light_alone_holds_what_passes_glass():
+    arrays = extract_scene(booths("area"), size=(48, 16))
+    alone = render(arrays, RenderSettings(denoise=False, layers=("DiffuseIndirect",))).layers["DiffuseIndirect"]
+    whole = render(arrays, RenderSettings(denoise=False)).layers["DiffuseIndirect"]
+    np.testing.assert_allclose(alone, whole, rtol=1e-5, atol=1e-7)

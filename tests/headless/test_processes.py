@@ -1,6 +1,9 @@
 """The fast part of what the system does to a process: interrupts, kills, shared caches."""
 
+import ctypes
+import select
 import signal
+import sys
 
 import pytest
 
@@ -18,6 +21,18 @@ def test_an_interrupt_is_raised_and_written_down():
         signal.raise_signal(signal.SIGINT)
     assert interrupts.heard
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_an_interrupt_that_a_callback_swallows_comes_again():
+    hook, interrupts = sys.unraisablehook, Interrupts()
+    callback = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
+    went_on = False
+    with pytest.raises(KeyboardInterrupt), interrupts.listening():
+        callback()
+        went_on = True
+        select.select([], [], [], 30)
+    assert went_on
+    assert sys.unraisablehook is hook
 
 
 def test_what_is_held_is_ended_and_the_next_progress_cancels():
@@ -58,3 +73,12 @@ def test_a_process_that_hangs_is_found(tmp_path, monkeypatch):
 def test_a_torn_output_is_found(tmp_path, monkeypatch):
     monkeypatch.setattr(processes, "run", lambda *_, folder, **__: (folder / "out.exr").write_bytes(b"half"))
     assert killing(tmp_path, 0.0).startswith("torn")
+
+
+def test_a_command_ends_though_something_still_refers_to_blender(tmp_path):
+    # What typing remembers of a class keeps its module, and with it bpy; bpy 4.5 then ends in destructors that wait for ever.
+    pin = "import typing; from lumigate.addon.extract.geometry import Collected; typing.Sequence[Collected]; "
+    code = "print('ready', flush=True); import sys; sys.argv = ['lumigate', 'inspect', 'cornell']; "
+    ending = run(pin + code + "from lumigate.headless.cli import program; program()", folder=tmp_path)
+    assert ending.status == 0, ending.err
+    assert "will be wrong" in ending.out

@@ -151,6 +151,36 @@ def test_material_index_beyond_the_slots_is_the_last_slot(stage):
     assert {scene.materials.names[m] for m in scene.geometry.material} == {"Green"}
 
 
+def test_materials_on_no_triangle_are_not_compiled_and_their_images_not_loaded(stage):
+    cube = stage.cube("Cube", "Spare", "Worn", None)
+    cube.data.polygons.foreach_set("material_index", [1] * 6)
+    image = bpy.data.images.new("Large", 64, 64)
+    tree = stage.nodes(stage.material("Spare"))
+    tree.nodes.clear()
+    texture, diffuse, output = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("TexImage", "BsdfDiffuse", "OutputMaterial"))
+    texture.image = image
+    tree.links.new(texture.outputs["Color"], diffuse.inputs["Color"])
+    tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
+    scene = stage.extract()
+    assert scene.materials.names == ["Worn"] and not scene.geometry.material.any()
+    assert scene.materials.tables.texels_u8.nbytes < 64 * 64
+    assert [(s.stage, s.reason) for s in scene.skipped] == [("materials", "material 'Spare' is on no triangle")]
+    cube.data.polygons[0].material_index = 0  # the same material, worn: now all of it is there
+    scene = stage.extract()
+    assert scene.materials.names == ["Spare", "Worn"] and scene.skipped == []
+    assert scene.materials.tables.texels_u8.nbytes >= 3 * 64 * 64
+
+
+def test_an_object_hidden_from_every_ray_is_not_read(stage):
+    stage.cube("Shown", "Red")
+    hidden = stage.cube("Hidden", "Green")
+    for kind in ("camera", "diffuse", "glossy", "transmission", "shadow"):
+        setattr(hidden, f"visible_{kind}", False)
+    scene = stage.extract()
+    assert scene.geometry.object_names == ["Shown"] and scene.materials.names == ["Red"]
+    assert [(s.stage, s.reason) for s in scene.skipped] == [("objects", "object 'Hidden' is hidden from every ray")]
+
+
 def test_no_slot_is_the_default_material(stage):
     stage.cube()
     assert stage.extract().materials.names == [""]
