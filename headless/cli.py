@@ -27,7 +27,12 @@ def _load_package() -> None:
 
 def program() -> NoReturn:
     """The console script."""
-    leave(main())
+    try:
+        status = main()
+    except KeyboardInterrupt:  # before anything of ours listens
+        print(CANCELLED, file=sys.stderr)
+        status = 130
+    leave(status)
 
 
 def leave(status: int) -> NoReturn:
@@ -59,6 +64,12 @@ def main(argv: list[str] | None = None, *, in_blender: bool = False) -> int:
         except KeyboardInterrupt:  # before or after there is a terminal to say so
             print(CANCELLED, file=sys.stderr)
             return 130
+        except Exception:
+            if not interrupts.heard:
+                raise
+            # NumPy, interrupted while its library loads, calls it a broken installation.
+            print(CANCELLED, file=sys.stderr)
+            return 130
 
 
 def _main(argv: list[str] | None, in_blender: bool, interrupts) -> int:
@@ -72,6 +83,7 @@ def _main(argv: list[str] | None, in_blender: bool, interrupts) -> int:
     try:
         return _run(arguments, interrupts)
     except ModuleNotFoundError as error:  # a Blender's own Python has only what the extension brought
+        interrupts.check()
         package = (error.name or "lumigate").partition(".")[0]
         if package == "lumigate":
             raise
@@ -80,9 +92,10 @@ def _main(argv: list[str] | None, in_blender: bool, interrupts) -> int:
 
 
 def _run(arguments, interrupts) -> int:
-    from ..core.errors import SceneError
-    from ..core.threads import Cancelled
-    from .console import open_terminal
+    with interrupts.held():
+        from ..core.errors import SceneError
+        from ..core.threads import Cancelled
+        from .console import open_terminal
 
     with open_terminal(interrupts) as terminal:
         try:

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from lumigate.core.threads import Cancelled, run_chunks
+from lumigate.headless import cli
 from lumigate.headless.console import Terminal
 from lumigate.headless.interrupts import Interrupts
 from lumigate.headless.stress import processes
@@ -33,6 +34,27 @@ def test_an_interrupt_that_a_callback_swallows_comes_again():
         select.select([], [], [], 30)
     assert went_on
     assert sys.unraisablehook is hook
+
+
+def test_a_fault_that_an_interrupt_causes_is_an_interrupt(monkeypatch, capsys):
+    def interrupted(argv, in_blender, interrupts):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("Error importing numpy") from None
+
+    monkeypatch.setattr(cli, "_main", interrupted)
+    assert cli.main([]) == 130
+    assert capsys.readouterr().err == "lumigate: cancelled\n"
+
+
+def test_a_fault_without_an_interrupt_is_shown(monkeypatch):
+    def faulty(argv, in_blender, interrupts):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(cli, "_main", faulty)
+    with pytest.raises(ZeroDivisionError):
+        cli.main([])
 
 
 def test_what_is_held_is_ended_and_the_next_progress_cancels():
