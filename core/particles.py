@@ -34,7 +34,8 @@ from .scene import DIFFUSE, GLOSSY_LOBE, SHADOW, TRANSPARENT
 from .surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo_average, glossy_albedo, passing_chance
 from .surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
 from .surfaces.normals import shading_normal, surface_side
-from .surfaces.program import MEAN_VIEW, evaluate, new_registers
+from .surfaces.program import new_registers
+from .surfaces.visibility import evaluate_along
 from .threads import Progress, run_chunks
 from .transport import Transport
 
@@ -170,9 +171,7 @@ def _trace_particles(scene, begin, end, survivors, bounces, seed, vpls):
                     u, v, t = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
                     dx, dy, dz = direction[lane, 0], direction[lane, 1], direction[lane, 2]
                     x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
-                    evaluate(
-                        scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface
-                    )
+                    evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface)
                     through = False
                     if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
                         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]

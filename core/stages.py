@@ -193,6 +193,9 @@ def direct_stage(
     def by_rays(tables: Transport, lobes: bool) -> DirectLight:
         light, rays = direct_light(tables, points, samples, seed, threads, tick, reflections=settings.reflections, lobes=lobes)
         run.rays["shadow"] += rays
+        if settings.bounces == 0:  # glass is a bounce
+            nothing = np.zeros_like(light.irradiance_by_glass)
+            return light._replace(irradiance_by_glass=nothing, glossy_by_glass=nothing)
         return light
 
     lobes = has_lobes(points)

@@ -13,7 +13,7 @@ from ...core.scene import Camera, Scene
 from ..materials import MaterialUse, compile_materials
 from .camera import camera_warnings, extract_camera, find_camera, image_frame
 from .evaluation import in_render_depsgraph
-from .geometry import Collected, assemble, collect, mark_curved_glass
+from .geometry import Collected, assemble, collect
 from .lamps import CollectedLamps, collect_lamps, to_arrays
 from .world import Cycles, extract_world
 
@@ -110,7 +110,6 @@ def _assembled(
     """
     compiled = compile_materials(_uses(found, graph), may_bake=cycles == "here")
     geometry, origin, dropped = assemble(found, compiled)
-    mark_curved_glass(geometry, compiled.materials.tables.flags)
     world = extract_world(scene, layer, graph, cycles)
     if view is not None:
         view.matrix[:3, 3] -= origin

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import SceneError
-from ...core.scene import CAMERA, CURVED, DIFFUSE, GLOSSY, REFRACTIVE, SHADOW, TRANSMISSION, Geometry, Skipped
+from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION, Geometry, Skipped
 from ..materials import CompiledMaterials
 from .attributes import Batch, Part, fill, lightmap_uv, unit
 from .meshes import MeshCopy, copy_mesh, face_normals, layer_names
@@ -33,9 +33,6 @@ _NOT_TRIANGLES = {
     "GREASEPENCIL": "grease pencil",
     "GPENCIL": "grease pencil",
 }
-
-
-_BEND = 0.02  # of a normal between the corners of a triangle
 
 
 @dataclass
@@ -249,14 +246,6 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
     np.subtract(world, origin, out=geometry.vertices, casting="same_kind")
     _repair_normals(geometry)
     return geometry, origin, warnings
-
-
-def mark_curved_glass(geometry: Geometry, flags: np.ndarray) -> None:
-    """Set CURVED in the flags (M,) of refractive materials on triangles whose corner normals differ: what bends light, as panes do not."""
-    glass = np.flatnonzero(flags[geometry.material] & REFRACTIVE)
-    normals = geometry.corner_normals[glass]
-    bends = (np.abs(normals - normals[:, :1]) > _BEND).any(axis=(1, 2))
-    flags[np.unique(geometry.material[glass[bends]])] |= CURVED
 
 
 def _origin(world: np.ndarray) -> np.ndarray:

@@ -178,9 +178,7 @@ def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end):
         return _0, _0, _0
     if not scene.emitters.cutouts:
         return _1, _1, _1
-    r, g, b, _ = transmittance1(
-        scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, SHADOW
-    )
+    r, g, b, _ = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, SHADOW)
     return r, g, b
 
 
@@ -263,7 +261,7 @@ def _trace_pending(scene, packet, rows, surface, pending, owner, column, n, out,
         tr = tg = tb = clear = _1
         if scene.emitters.cutouts:
             tr, tg, tb, clear = transmittance1(
-                scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface,
+                scene, packet, rows, surface,
                 p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW,
             )  # fmt: skip
         if clear < _0:  # a lens throws it elsewhere: a caustic, which is not found

@@ -115,9 +115,7 @@ def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_
                 i += 1
             if lanes == 0:
                 break
-            shadow_packet(
-                scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, lanes, DIFFUSE, cutouts, through
-            )
+            shadow_packet(scene, packet, rows, surface, lanes, DIFFUSE, cutouts, through)
             rays += lanes
             for lane in range(lanes):
                 at = lane_of[lane]

@@ -52,7 +52,7 @@ def _set_shadow_ray(packet, lane, points, p, vpls, m):
 @kernel
 def _trace(scene, packet, rows, surface, count, cutouts, through):
     """Trace the shadow rays in lanes 0..count-1; the light that they let through into `through` (WIDTH, 3)."""
-    shadow_packet(scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, count, DIFFUSE, cutouts, through)
+    shadow_packet(scene, packet, rows, surface, count, DIFFUSE, cutouts, through)
 
 
 @kernel

@@ -243,7 +243,7 @@ def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, li
         if cutouts:
             f = packet.f
             r, g, b, _ = transmittance1(
-                scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface,
+                scene, packet, rows, surface,
                 f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
                 f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane], _0, _1, DIFFUSE,
             )  # fmt: skip

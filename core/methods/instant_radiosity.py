@@ -86,9 +86,7 @@ def _shade(scene, vpls, points, begin, end, g_max, visibility, cutouts, out):
                     gx, gy, gz = points.ng[k, 0], points.ng[k, 1], points.ng[k, 2]
                     ox, oy, oz, dx, dy, dz = shadow_segment(px, py, pz, gx, gy, gz, points.error[k], x, y, z, nx, ny, nz, vpls.error[j])
                     set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
-                shadow_packet(
-                    scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, lanes, DIFFUSE, cutouts, through
-                )
+                shadow_packet(scene, packet, rows, surface, lanes, DIFFUSE, cutouts, through)
                 rays += lanes
             for lane in range(lanes):
                 k = lane_of[lane]

@@ -92,7 +92,7 @@ def _trace_near(scene, lights, points, pairs, packet, rows, surface, cutouts, wa
             vpls.normal[j, 0], vpls.normal[j, 1], vpls.normal[j, 2], vpls.error[j],
         )  # fmt: skip
         set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
-    shadow_packet(scene.rays, scene.materials, scene.material, scene.attributes, packet, rows, surface, count, DIFFUSE, cutouts, through)
+    shadow_packet(scene, packet, rows, surface, count, DIFFUSE, cutouts, through)
     for lane in range(count):
         for c in range(3):
             out[waiting[lane], c] += strength[lane] * _INV_PI * vpls.flux[of_vpl[lane], c] * through[lane, c]

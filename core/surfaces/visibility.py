@@ -2,55 +2,96 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from ..jit import kernel, leaf
+from ..jit import inlined, kernel, leaf
 from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_FAR, T_NEAR, WIDTH
 from ..rays.trace import ALL, COHERENT, CUTOUT, OPAQUE, intersect1, occluded_packet
 from ..sampling.hashing import uniform
-from ..scene import CURVED, TRANSPARENT
+from ..scene import REFRACTIVE, TRANSPARENT
 from .layout import REFRACTION, TRANSPARENCY, passing_chance
-from .program import MEAN_VIEW, evaluate
+from .normals import shading_normal
+from .program import MEAN_VIEW, evaluate, reflected_view
 
+_BENDING = 0.2  # of the sum of normals across a ray: a tenth of a radian in glass
 MAX_PASSED = 128  # transparent surfaces on one segment; what lies behind more counts as dark
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
 
+@inlined
+def _evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface):
+    """`evaluate_along`, which also returns the shading normal (unit; 0 where it is no glass)."""
+    material = scene.material[triangle]
+    cosine = np.float32(MEAN_VIEW)
+    nx = ny = nz = _0
+    if scene.materials.flags[material] & REFRACTIVE:
+        nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, _0, _0, _0)
+        length = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz))
+        cosine = reflected_view(max(-_1, min(_1, -(nx * dx + ny * dy + nz * dz) / length)))
+    evaluate(scene.materials, material, scene.attributes, triangle, u, v, cosine, rows, surface)
+    return nx, ny, nz
+
+
 @leaf
-def transmittance1(rays, materials, material, attributes, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near, t_far, kinds):
-    """Transmittance (r, g, b) of the transparent triangles along one segment, and how much of that passed no glass: -1 where curved glass bends it.
+def evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface):
+    """The surface that a ray meets, into `surface`: what glass lets through depends on the angle, all else is the mean over the views."""
+    _evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface)
+
+
+@inlined
+def _bends(x, y, z, dx, dy, dz):
+    """Whether glass whose outward normals add up to (x, y, z) turns a ray aside.
+
+    A ray turns by about (IOR - 1) times what that sum has across it: nothing in panes, little in the walls of bulbs and bottles.
+    """
+    along = (x * dx + y * dy + z * dz) / (dx * dx + dy * dy + dz * dz)
+    x, y, z = x - along * dx, y - along * dy, z - along * dz
+    return x * x + y * y + z * z > np.float32(_BENDING * _BENDING)
+
+
+@leaf
+def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near, t_far, kinds):
+    """Transmittance (r, g, b) of the transparent triangles along one segment, and the share of it that passed no glass: -1 where a lens is in the way.
 
     For segments that the OPAQUE set does not block.  packet, rows, surface: scratch (`new_packet`,
     `new_registers`, (SURFACE,) float32); the packet's lanes stay as they are.
     """
     r = g = b = clear = _1
-    bent = False
+    x = y = z = _0
+    glasses = 0
     start = t_near
     for _ in range(MAX_PASSED):
-        triangle, t, u, v = intersect1(rays, CUTOUT, packet, ox, oy, oz, dx, dy, dz, start, t_far, kinds)
+        triangle, t, u, v = intersect1(scene.rays, CUTOUT, packet, ox, oy, oz, dx, dy, dz, start, t_far, kinds)
         if triangle < 0:
-            return r, g, b, -_1 if bent else clear
-        evaluate(materials, material[triangle], attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
+            # One side alone, as a pool's surface or a pane without thickness, is no lens.
+            lens = glasses % 2 == 0 and _bends(x, y, z, dx, dy, dz)
+            return r, g, b, -_1 if lens else clear
+        nx, ny, nz = _evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface)
         r *= surface[TRANSPARENCY]
         g *= surface[TRANSPARENCY + 1]
         b *= surface[TRANSPARENCY + 2]
         if not max(r, g, b) > np.float32(1e-4):
             break
         through = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
-        bent |= materials.flags[material[triangle]] & CURVED != 0
-        clear *= max(_0, _1 - (surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]) / through)
+        refracted = (surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]) / through
+        if refracted > _0:
+            clear *= max(_0, _1 - refracted)
+            glasses += 1
+            x, y, z = x + nx, y + ny, z + nz
         start = t + np.float32(1e-5) * abs(t)
     return _0, _0, _0, _1
 
 
 @kernel
-def shadow_packet(rays, materials, material, attributes, packet, rows, surface, count, kinds, cutouts, transmitted):
+def shadow_packet(scene, packet, rows, surface, count, kinds, cutouts, transmitted):
     """Trace the shadow rays in lanes 0..count-1, which go much the same way, and write what they let through into `transmitted` (16, 3).
 
     cutouts: whether the scene has transparent triangles at all.  Only the rays that meet one are walked singly.
     """
-    occluded_packet(rays, OPAQUE | COHERENT, packet, count)
+    occluded_packet(scene.rays, OPAQUE | COHERENT, packet, count)
     waiting = False
     for lane in range(count):
         open_ = _0 if packet.f[T_FAR * WIDTH + lane] == OCCLUDED else _1
@@ -63,11 +104,11 @@ def shadow_packet(rays, materials, material, attributes, packet, rows, surface, 
     end = np.empty(WIDTH, np.float32)
     for lane in range(count):
         end[lane] = f[T_FAR * WIDTH + lane]
-    occluded_packet(rays, CUTOUT, packet, count)
+    occluded_packet(scene.rays, CUTOUT, packet, count)
     for lane in range(count):
         if end[lane] != OCCLUDED and f[T_FAR * WIDTH + lane] == OCCLUDED:
             transmitted[lane, 0], transmitted[lane, 1], transmitted[lane, 2], _ = transmittance1(
-                rays, materials, material, attributes, packet, rows, surface,
+                scene, packet, rows, surface,
                 f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
                 f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane],
                 f[T_NEAR * WIDTH + lane], end[lane], kinds,
@@ -87,7 +128,7 @@ def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach,
         triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, dx, dy, dz, start, reach, kinds)
         if triangle < 0:
             return -1, _0, _0, reach, r, g, b
-        evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
+        evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface)
         if not scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
             return triangle, u, v, t, r, g, b
         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
