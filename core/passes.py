@@ -24,17 +24,22 @@ SLOPE = 0.5
 # What all passes have in common, as the resolution of their caches, they cannot see: the error of nine scenes is so much larger (median).
 UNSEEN = 1.36
 BRIGHTEST, DARK = 6.0, 0.2  # times D and its mean: where B and C are cut
+UNSEEN_NOISE = 1e-4  # relMSE of noise that nobody sees: a hundredth of the light
 SMALL_PICTURE = 100_000  # pixels below which each group is A in turn, for one alone is not certain enough
 
 
 @dataclass
 class Passes:
-    """The passes of one picture, dealt to three groups; threads: of the denoiser."""
+    """The passes of one picture, dealt to three groups; threads: of the denoiser.
+
+    estimate: the last result of `error`.  as_it_is: whether that is the error of the picture without denoising.
+    """
 
     threads: int
     groups: list[Picture | None] = field(default_factory=lambda: [None] * GROUPS)
     count: int = 0
     estimate: float | None = None
+    as_it_is: bool = False
 
     def add(self, picture: Picture) -> None:
         """Deal one more pass to the next group."""
@@ -56,10 +61,21 @@ class Passes:
         """Of all passes."""
         return sum(group.weight for group in self.groups if group is not None)
 
-    def error(self, denoiser: Denoiser | None) -> float:
-        """Estimated relMSE of the indirect light of `picture`, denoised if there is a denoiser; NaN with less than three passes."""
+    def error(self, denoiser: Denoiser | None, enough: float = 0.0) -> float:
+        """Estimated relMSE of the indirect light of `picture`; NaN with less than three passes.
+
+        It is the denoised picture's if there is a denoiser, unless that makes the error no less, or `enough` is met without it.
+        """
         if any(group is None for group in self.groups):
             return float("nan")
+        self.estimate = self._error(denoiser)
+        if denoiser:
+            raw = self._error(None)
+            self.as_it_is = raw <= max(enough, self.estimate)
+            self.estimate = raw if self.as_it_is else self.estimate
+        return self.estimate
+
+    def _error(self, denoiser: Denoiser | None) -> float:
         whole = self._clean(self.picture, denoiser)
         scale = whole**2 + FLOOR * whole.mean() ** 2
         limit = BRIGHTEST * (whole + DARK * whole.mean()) if denoiser else np.inf
@@ -70,8 +86,7 @@ class Passes:
             share = self.groups[k].weight / self.weight
             product = np.divide((a - b) * (a - c), scale, out=np.zeros_like(scale), where=scale > 0)
             errors.append(product.mean() * (UNSEEN * share**SLOPE if denoiser else share))
-        self.estimate = max(0.0, float(np.mean(errors)))
-        return self.estimate
+        return max(0.0, float(np.mean(errors)))
 
     def _clean(self, picture: Picture, denoiser: Denoiser | None) -> np.ndarray:
         """Its indirect light (H, W, 3), denoised if there is a denoiser, in double precision."""

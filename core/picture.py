@@ -129,10 +129,12 @@ class Picture:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.albedo > 0, np.float32(np.pi) * self.diffuse_indirect / self.albedo, np.float32(0))
 
-    def denoised(self, denoiser: Denoiser, threads: int, *, direct: bool = True, quality: str | None = None) -> Picture:
+    def denoised(
+        self, denoiser: Denoiser, threads: int, *, direct: bool = True, indirect: bool = True, quality: str | None = None
+    ) -> Picture:
         """Without noise.  The guides have next to none themselves, and what they show stays as sharp as it is.
 
-        direct: whether direct light, too.  quality: as `Denoiser.denoise` has it.
+        direct, indirect: which light.  quality: as `Denoiser.denoise` has it.
         """
 
         def cleaned(image: np.ndarray, **options) -> np.ndarray:
@@ -141,9 +143,9 @@ class Picture:
             )
 
         found = {}
-        if self.diffuse_indirect.any() and not self.smooth:
+        if indirect and self.diffuse_indirect.any() and not self.smooth:
             found["diffuse_indirect"] = self._diffuse_cleaned(denoiser, cleaned)
-        if self.glossy_indirect.any():
+        if indirect and self.glossy_indirect.any():
             found["glossy_indirect"] = cleaned(self.glossy_indirect, preserve_mean=True, clean_aux=True)
         if direct and self.direct.any():
             found["direct"] = cleaned(self.direct, preserve_mean=True)

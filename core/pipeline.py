@@ -176,7 +176,10 @@ def _render(
         with run.stage("denoise") as denoiser.progress:
             share = sequence.settings.frame_share if run.in_turn(settings) else 1.0  # history stands for the other rays
             quality = denoising_quality(settings, passes.weight / share)
-            picture = picture.denoised(denoiser, threads, direct=settings.wants("Direct", "Combined"), quality=quality)
+            direct = settings.wants("Direct", "Combined")
+            picture = picture.denoised(denoiser, threads, direct=direct, indirect=not passes.as_it_is, quality=quality)
+        if passes.as_it_is:
+            run.skip("denoise", f"the indirect light's relMSE is {passes.estimate:.2g} as it is")
     if picture.groups and (denoiser or sequence):  # either has changed the whole
         with closing(Denoiser(quality="fast")) as quick, run.stage("groups") as quick.progress:
             picture = picture.shared_out(quick, threads)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from ..denoise import Denoiser
-from ..passes import GROUPS, SLOPE, Passes
+from ..passes import GROUPS, SLOPE, UNSEEN_NOISE, Passes
 from ..picture import Picture
 from ..scene import Camera
 from ..settings import RenderSettings
@@ -158,7 +158,7 @@ class Planner:
             return None
         if passes.count % GROUPS:
             return self.passes[-1]["quality"]
-        return self._next_round(passes, passes.error(denoiser))
+        return self._next_round(passes, passes.error(denoiser, min(UNSEEN_NOISE, self.settings.target_error)))
 
     def _next_of_budget(self, left: float) -> float | None:
         whole = self.cost.quality(self.pixels, left)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from typing import NamedTuple
+from unittest import mock
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from ...core.lamps import world_tables
 from ...core.layers import Layers
 from ...core.methods.instant_radiosity import InstantRadiosity, clamp_of
 from ...core.pipeline import render
+from ...core.planning import planner
 from ...core.reuse import Sequence
 from ...core.scene import ALL_RAYS, CAMERA, EMISSIVE, POINT, Scene
 from ...core.settings import RenderSettings, SequenceSettings
@@ -33,6 +35,7 @@ REQUEST = RenderSettings(
 BLACK = 1e-9  # an albedo that is not skipped, and gives no light that anybody sees
 DARK_LAMPS = 2000
 TARGET = 0.05  # relMSE
+MANY = 64  # rays a pixel, of each kind
 GATES = replace(REQUEST, method="visibility-gates", voxels=128)
 
 
@@ -73,6 +76,7 @@ def cases(extent: Extent) -> Iterator[Case]:
     yield "topology known already", "Indirect", *_gates(room)
     yield "passes after the error is met", "Indirect", *_target(room, extent.budget)
     yield "denoising of light without noise", "DiffuseIndirect", *_smooth(room)
+    yield "denoising where the error is met", "DiffuseIndirect", *_met(size)
     yield "textures of materials on no triangle", "Indirect", *(lambda s=s: _layers(s()) for s in textures.spare(size, extent.side))
     yield "materials baked already", "Albedo", *(lambda s=s: _layers(s(), few) for s in textures.baked(size))
 
@@ -153,6 +157,19 @@ def _smooth(room: Scene) -> tuple[Work, Work]:
         return layers
 
     return lambda: _layers(room, settings), denoised
+
+
+def _met(size: tuple[int, int]) -> tuple[Work, Work]:
+    """A picture without noise to speak of whose error was asked for, and the same denoised all the same: the inside of a sphere that shines."""
+    paint = arrays.materials((0.5, 1.0))
+    scene = arrays.scene(arrays.geometry(*arrays.icosphere(3)), paint, camera=arrays.camera(width=size[0], height=size[1]))
+    many = RenderSettings(method="importance-sampling", samples=MANY, gather=MANY, target_error=TARGET, seed=1, layers=("DiffuseIndirect",))
+
+    def always() -> Layers:
+        with mock.patch.object(planner, "UNSEEN_NOISE", 0.0):
+            return _layers(scene, many)
+
+    return lambda: _layers(scene, many), always
 
 
 def _frames(room: Scene) -> tuple[Work, Work]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lumigate.core.passes import UNSEEN, Passes
+from lumigate.core.passes import UNSEEN, UNSEEN_NOISE, Passes
 from lumigate.core.picture import Picture
 from lumigate.core.pipeline import denoising_quality, render
 from lumigate.core.settings import RenderSettings
@@ -59,7 +59,17 @@ def test_estimate_is_the_error_of_the_mean():
 
 def test_estimate_sees_what_the_denoiser_does_wrong():
     wrong = ((Tilted.tilt - 1) ** 2).mean() * UNSEEN / 3**0.5
-    assert passes_of(*(picture(noisy(0.1, k)) for k in range(3))).error(Tilted()) == pytest.approx(wrong, rel=0.1)
+    assert passes_of(*(picture(noisy(0.25, k)) for k in range(3))).error(Tilted()) == pytest.approx(wrong, rel=0.1)
+
+
+def test_what_a_denoiser_would_only_make_worse_is_left_as_it_is():
+    quiet, loud = (passes_of(*(picture(noisy(level, k)) for k in range(3))) for level in (0.01, 0.5))
+    assert quiet.error(Tilted()) == pytest.approx(0.01**2 / 3, rel=0.2)
+    assert quiet.as_it_is
+    assert loud.error(Tilted()) < 0.5**2 / 3
+    assert not loud.as_it_is
+    assert loud.error(Tilted(), 0.3) > 0.5**2 / 3
+    assert loud.as_it_is
 
 
 def test_a_black_picture_has_no_error():
@@ -80,6 +90,17 @@ def test_only_what_the_wanted_layers_need_is_computed(sphere):
     assert "indirect" not in direct.stats["seconds"]
     shapes = render(sphere, RenderSettings(vpls=64, layers=("Depth", "Albedo")))
     assert not {"cache", "direct", "glossy", "vpls", "indirect"} & set(shapes.stats["seconds"])
+
+
+def test_light_whose_error_is_met_is_not_denoised(sphere):
+    """All of the sphere sends the same light, and many rays leave next to no noise in it."""
+    settings = RenderSettings(method="importance-sampling", target_error=0.01, samples=64, gather=64, layers=("DiffuseIndirect",))
+    met, further = (render(sphere, replace(settings, target_error=target)) for target in (0.01, 1e-5))
+    assert [line["reason"][:27] for line in met.stats["skipped"] if line["stage"] == "denoise"] == ["the indirect light's relMSE"]
+    assert met.stats["error_estimate"] <= UNSEEN_NOISE
+    assert not [line for line in further.stats["skipped"] if line["stage"] == "denoise"]
+    light = met.layers["DiffuseIndirect"].astype(float)
+    assert ((light - light.mean()) ** 2).mean() / light.mean() ** 2 < 4 * UNSEEN_NOISE
 
 
 def test_smooth_light_is_left_to_its_method():

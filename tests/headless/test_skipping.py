@@ -59,7 +59,7 @@ def test_what_is_left_out_alone_changes_no_light(monkeypatch, tmp_path):
     found = single_rows(Extent((32, 18), subdivisions=2, side=64, budget=0.5))
     json.dumps(found, allow_nan=False)
     rows = {row["case"].partition(",")[0]: row for row in found}
-    assert len(rows) == 3 * 13 + 2
+    assert len(rows) == 3 * 14 + 2
     for case, share in {
         "layers not asked for: mean Depth": 0,
         "pixels of lamps: mean Indirect": 0.02,  # other points, other VPLs
@@ -70,6 +70,7 @@ def test_what_is_left_out_alone_changes_no_light(monkeypatch, tmp_path):
         "frames where nothing changed: mean Indirect": 0.05,  # other rays
         "topology known already: mean Indirect": 0,
         "passes after the error is met: mean Indirect": 0.03,
+        "denoising where the error is met: mean DiffuseIndirect": 1e-3,
         "denoising of light without noise: mean DiffuseIndirect": 1e-5,
         "textures of materials on no triangle: mean Indirect": 0,
         "materials baked already: mean Albedo": 0,
