@@ -28,11 +28,24 @@ def _load_package() -> None:
 def program() -> NoReturn:
     """The console script."""
     try:
+        keep_bytecode()
         status = main()
     except KeyboardInterrupt:  # before anything of ours listens
         print(CANCELLED, file=sys.stderr)
         status = 130
     leave(status)
+
+
+def keep_bytecode() -> None:
+    """Python's compiled modules go into the user's cache folder where Python is told to write none beside the sources.
+
+    Containers often tell it so, and then each start compiles a thousand modules of Numba's and Blender's: 3 s.
+    """
+    if sys.dont_write_bytecode and not sys.pycache_prefix:
+        import platformdirs
+
+        sys.pycache_prefix = str(Path(os.environ.get("LUMIGATE_CACHE") or platformdirs.user_cache_dir("lumigate"), "bytecode").absolute())
+        sys.dont_write_bytecode = False
 
 
 def leave(status: int) -> NoReturn:

@@ -272,3 +272,13 @@ def test_help_needs_no_blender():
     code = "import sys; from lumigate.headless.cli import main; status = main(['render', '--help']); print(status, {'bpy', 'numba'} & set(sys.modules))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.endswith("0 set()\n")
+
+
+def test_modules_are_compiled_once_where_nothing_may_be_written_beside_them(tmp_path):
+    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "LUMIGATE_CACHE": str(tmp_path)}
+    code = "from lumigate.headless.cli import program; program()"
+    for found in (0, 1):
+        assert bool(list(tmp_path.rglob("errors.*.pyc"))) == found
+        subprocess.run(
+            [sys.executable, "-c", code, "compare", "a.exr", "b.exr"], env=environment, cwd=tmp_path, capture_output=True, check=False
+        )
