@@ -152,12 +152,14 @@ def vpl_pool(
     share: Callable[[Vpls], np.ndarray] | None = None,
     batches: int = MOST_BATCHES,
     particles: Particles = trace_particles,
+    kept: int = 1,
 ) -> tuple[Vpls, dict]:
-    """About `count` VPLs that light the view, after at most `bounces` diffuse surfaces.
+    """About `count` VPLs, times `kept`, that light the view, after at most `bounces` diffuse surfaces.
 
     g_max_of: (vpls, points) -> the clamp of the geometry term, which bounds what one light can seem to give.
     share: vpls -> the part of each one's light (M,) that is wanted (None: all of it).
     batches: of particles, at most.  particles: traces them, or knows them already; they may be changed here.
+    kept: above 1, more of the lights of as many particles: for whoever looks at a part of the pool at each point.
 
     Returns:
         The VPLs, and counts: `light` and `shadow` rays, `traced` VPLs, `useless` ones (behind every point).
@@ -173,15 +175,15 @@ def vpl_pool(
         vpls, rays = particles(scene, flown, bounces, seed + BATCH_SEED * batch, threads)
         counts["light"] += rays
         counts["traced"] += len(vpls.bounce)
-        kept = drop_useless(vpls, points)
-        counts["useless"] += len(vpls.bounce) - len(kept.bounce)
-        if len(kept.bounce):
+        useful = drop_useless(vpls, points)
+        counts["useless"] += len(vpls.bounce) - len(useful.bounce)
+        if len(useful.bounce):
             if share is not None:
-                kept.flux[:] *= share(kept)[:, None]
-            g_max = g_max_of(kept, points) if g_max is None else g_max
-            light, rays = contributions(scene, kept, subset, g_max, seed + batch, threads)
+                useful.flux[:] *= share(useful)[:, None]
+            g_max = g_max_of(useful, points) if g_max is None else g_max
+            light, rays = contributions(scene, useful, subset, g_max, seed + batch, threads)
             counts["shadow"] += rays
-            parts.append(kept)
+            parts.append(useful)
             importance.append(light)
             every = np.concatenate(importance)
             squares = (every**2).sum()
@@ -195,7 +197,7 @@ def vpl_pool(
     pool = Vpls.concatenate(parts)
     if parts:
         pool.flux[:] *= np.float32(1.0 / (batch + 1))
-        pool = resample(pool, np.concatenate(importance), count, seed)
+        pool = resample(pool, np.concatenate(importance), kept * count, seed)
     return pool, counts
 
 

@@ -61,6 +61,7 @@ from .tails import path_light
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
 BLOCK = 16  # of them, summed together
+KEPT = 4  # times the lights asked for stay in the pool: a point looks at one subset, and all points at more lights
 PICKS = 8  # of a subset: more of them go to further subsets
 PATHS = 0.16  # of the cache a point, times the root of its rays: what they find is noisier than what the cache knows
 MIN_PATHS = 20000
@@ -400,6 +401,7 @@ class ImportanceSampling:
             share=self.shares,
             batches=BATCHES if turn is None else 1,
             particles=particles,
+            kept=KEPT,
         )
         self.g_max = np.float32(clamp_of(vpls, points))
         order = np.argsort(morton_codes(vpls.position), kind="stable") if len(vpls.bounce) else np.zeros(0, np.int64)

@@ -64,7 +64,7 @@ def test_what_is_left_out_alone_changes_no_light(monkeypatch, tmp_path):
         "layers not asked for: mean Depth": 0,
         "pixels of lamps: mean Indirect": 0.02,  # other points, other VPLs
         "pixels of the sky: mean Indirect": 0.2,  # few pixels
-        "lamps that give no light: mean Indirect": 1e-4,
+        "lamps that give no light: mean Indirect": 0.01,  # another light is picked here and there
         "objects hidden from every ray: mean Indirect": 1e-5,
         "rooms with no way to the view: mean Indirect": 0.05,
         "frames where nothing changed: mean Indirect": 0.05,  # other rays
