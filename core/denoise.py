@@ -189,12 +189,10 @@ class Denoiser:
             return clean
         return clean * mean_factor(color, clean)
 
-    def prefilter(self, albedo: np.ndarray, normal: np.ndarray, *, threads: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        """(albedo, normal) without their noise, each denoised by itself, for `clean_aux`; unchanged without the library."""
-        albedo, normal = (np.nan_to_num(_image(guide), posinf=0, neginf=0) for guide in (albedo, normal))
-        if self._lib is None:
-            return albedo, normal
-        return self._execute({"albedo": albedo}, threads), self._execute({"normal": normal}, threads)
+    def prefilter(self, kind: str, guide: np.ndarray, *, quality: str | None = None, threads: int = 0) -> np.ndarray:
+        """A guide (H, W, 3), 'albedo' or 'normal', without its noise, for `clean_aux`; unchanged without the library."""
+        guide = np.nan_to_num(_image(guide), posinf=0, neginf=0)
+        return guide if self._lib is None else self._execute({kind: guide}, threads, quality=quality)
 
     def _device(self, threads: int) -> int:
         if threads not in self._devices:

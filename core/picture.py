@@ -16,6 +16,7 @@ from .scene import Scene
 from .view.points import ShadingPoints
 from .view.primary import View
 
+MIRRORED, MIRRORED_PIXELS = 0.1, 0.01  # albedo in a mirror that a denoiser goes by, and the least share of the pixels
 LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
 # What passes average; position and depth are the first one's.
 _MEANS = (*LIGHT, "albedo", "normal", "guide_albedo", "guide_normal")
@@ -137,10 +138,13 @@ class Picture:
         direct, indirect: which light.  quality: as `Denoiser.denoise` has it.
         """
 
+        guide = self.guide_albedo
+        beyond = guide - self.albedo  # what mirrors and glass show: few rays have told
+        if np.count_nonzero(beyond.max(axis=2) > MIRRORED) > MIRRORED_PIXELS * self.depth.size:
+            guide = self.albedo + denoiser.prefilter("albedo", beyond, quality="fast", threads=threads)
+
         def cleaned(image: np.ndarray, **options) -> np.ndarray:
-            return denoiser.denoise(
-                image, self.guide_albedo, self.guide_normal, position=self.position, quality=quality, threads=threads, **options
-            )
+            return denoiser.denoise(image, guide, self.guide_normal, position=self.position, quality=quality, threads=threads, **options)
 
         found = {}
         if indirect and self.diffuse_indirect.any() and not self.smooth:

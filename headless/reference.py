@@ -380,7 +380,7 @@ def denoise_layers(layers: Layers, settings: ReferenceSettings, denoiser: Denois
     start, seconds = time.perf_counter(), {}
     albedo, normal = layers["Albedo"], layers["Normal"]
     if settings.prefilter:
-        albedo, normal = denoiser.prefilter(albedo, normal, threads=threads)
+        albedo, normal = (denoiser.prefilter(kind, guide, threads=threads) for kind, guide in (("albedo", albedo), ("normal", normal)))
     groups = [name for name in layers if name.startswith(_GROUP)]
     for name in (*settings.denoised, *groups):
         began = time.perf_counter()

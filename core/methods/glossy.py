@@ -48,6 +48,8 @@ MAX_REFLECTIONS = 32  # from mirror to mirror
 _SURE = 3  # reflections after which chance ends dim paths
 # Rougher surfaces that a reflection shows are lit as diffuse ones are.
 _NARROW = np.float32(0.35)
+_SHINY = np.float32(0.5)  # the same share beyond which the cache, to which all is diffuse, does not know what is seen
+_MIRROR = np.float32(0.9)  # share of what a mirror reflects that its lobe does
 _SHARP = np.float32(0.2)  # roughness of what mirrors well enough to show edges
 _SEED = 0x9E3779B9  # sets these rays apart from those of other stages
 _0 = np.float32(0.0)
@@ -97,13 +99,15 @@ def _lamps_along(
 
 @kernel
 def _reflect_chunk(
-    scene, cache, near, row, points, owner, begin, end, samples, most, roulette, seed, first, shown, known, hits, mirror
+    scene, cache, near, row, points, owner, begin, end, samples, most, roulette, seed, first, clear, shown, known, guide, hits, mirror, sure
 ):  # fmt: skip
     """Draw up to `most` rays from the lobe of each point begin..end-1: emission that they meet is added to `shown` (N, 3 G).
 
     The surfaces met go into `hits`, whose `pixel` is the `owner` (N,) of their point and whose albedo, f0 and f90 hold the
     weight of their ray; one with a narrow lobe reflects (mirror (H,) is 1) or is diffuse (0) at random.  Where the lobe is
     wider than the cells of the cache, and the surface farther than `near`, what it sends by row `row` is added to `known` (N, 3 G).
+    clear: (N,) uint8, whether only mirrors lie between the point and the eye; then what its rays meet adds its diffuse albedo to
+    `guide` (N, 3), as it is on average, and sure (H,) says whether that meets a mirror itself.
     Returns the number of hits and of rays.
     """
     emitters = scene.emitters
@@ -186,7 +190,12 @@ def _reflect_chunk(
                 shown[i, c] += share * wr * surface[EMISSION]
                 shown[i, c + 1] += share * wg * surface[EMISSION + 1]
                 shown[i, c + 2] += share * wb * surface[EMISSION + 2]
-            if t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
+            ar, ag, ab = diffuse_albedo(surface, cosine)
+            chance = _0  # of a mirror, rather than of what is diffuse
+            if narrow:
+                fr, fg, fb = glossy_albedo(surface, cosine)
+                chance = (fr + fg + fb) / max(fr + fg + fb + ar + ag + ab, np.float32(1e-6))
+            if chance < _SHINY and t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
                 cell = find_cell(
                     cache, px, py, pz, hx, hy, hz, surface_side(material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
                 )
@@ -198,13 +207,15 @@ def _reflect_chunk(
                 if uniform(key, index, 1, 0) >= go_on:
                     continue
                 wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
-            mirror[n_hits] = 0
-            ar, ag, ab = diffuse_albedo(surface, cosine)
+            mirror[n_hits] = sure[n_hits] = 0
+            if clear[i]:
+                guide[i, 0] += wr * ar
+                guide[i, 1] += wg * ag
+                guide[i, 2] += wb * ab
             kr, kg, kb = wr, wg, wb  # of the lobe that the hit keeps
             if narrow:
-                fr, fg, fb = glossy_albedo(surface, cosine)
-                chance = (fr + fg + fb) / max(fr + fg + fb + ar + ag + ab, np.float32(1e-6))
                 mirror[n_hits] = uniform(key, index, 1, 1) < chance
+                sure[n_hits] = clear[i] != 0 and chance > _MIRROR
                 if mirror[n_hits]:
                     kr, kg, kb = wr / chance, wg / chance, wb / chance
                     ar = ag = ab = _0
@@ -229,25 +240,28 @@ def _reflect_chunk(
 
 def _draw(
     scene: Transport, cache: LightCache, near: float, row: int, points: ShadingPoints, owner: np.ndarray, samples: int, most: int,
-    roulette: bool, seed: int, threads: int, first: int,
+    roulette: bool, seed: int, threads: int, first: int, clear: np.ndarray,
 ):  # fmt: skip
-    """Rays from all points -> (emission met (N, 3 G), light of the cache (N, 3 G), diffuse hits, mirrors hit, number of rays)."""
+    """Rays from all points -> (emission met (N, 3 G), light of the cache (N, 3 G), guide (N, 3), diffuse hits, mirrors hit, whether
+    each of these is sure to be one, number of rays)."""
     shown, known = (scene.emitters.no_light(len(owner)) for _ in range(2))
+    guide = np.zeros((len(owner), 3), np.float32)
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * most)
-        mirror = np.empty((end - begin) * most, np.uint8)
+        mirror, sure = (np.empty((end - begin) * most, np.uint8) for _ in range(2))
         n, rays = _reflect_chunk(
-            scene, cache, np.float32(near), row, points, owner, begin, end, samples, most, roulette, np.uint32(seed), np.int64(first),
-            shown, known, room, mirror,
+            scene, cache, np.float32(near), row, points, owner, begin, end, samples, most, roulette, np.uint32(seed), np.int64(first), clear,
+            shown, known, guide, room, mirror, sure,
         )  # fmt: skip
         mirror = mirror[:n].astype(bool)
         room = room.take(slice(0, n))
-        return room.take(~mirror), room.take(mirror), rays
+        return room.take(~mirror), room.take(mirror), sure[:n][mirror], rays
 
     parts = run_chunks(work, len(owner), CHUNK, threads)
     diffuse, mirrors = (ShadingPoints.concatenate([part[k] for part in parts]) for k in (0, 1))
-    return shown, known, diffuse, mirrors, sum(part[2] for part in parts)
+    sure = np.concatenate([part[2] for part in parts]) if parts else np.zeros(0, np.uint8)
+    return shown, known, guide, diffuse, mirrors, sure, sum(part[3] for part in parts)
 
 
 def has_lobes(points: ShadingPoints) -> bool:
@@ -298,10 +312,10 @@ def reflect(
         part = ShadingPoints(*(a[block] for a in points))
         key = (seed ^ _SEED) + begin & 0xFFFFFFFF
         owner = np.arange(len(part.pixel), dtype=np.int32)
-        shown, known, diffuse, mirrors, rays = _draw(
-            scene, cache, near, bounces, part, owner, samples, reflections, False, key, threads, first
+        shown, known, guide, diffuse, mirrors, sure, rays = _draw(
+            scene, cache, near, bounces, part, owner, samples, reflections, False, key, threads, first, sharp[block].view(np.uint8)
         )
-        direct[block], indirect[block] = shown, known
+        direct[block], indirect[block], albedo[block] = shown, known, guide
         total += rays
         lit = [diffuse]
         for depth in range(1, MAX_REFLECTIONS):
@@ -309,17 +323,17 @@ def reflect(
                 break
             key = key + 1 & 0xFFFFFFFF
             light, rays = direct_light(scene, mirrors, 1, key, threads, reflections=1)
-            shown, known, diffuse, further, drawn = _draw(
-                scene, cache, near, bounces, mirrors, mirrors.pixel, 1, 1, depth >= _SURE, key, threads, 0
+            shown, known, guide, diffuse, further, surely, drawn = _draw(
+                scene, cache, near, bounces, mirrors, mirrors.pixel, 1, 1, depth >= _SURE, key, threads, 0, sure
             )
+            _add(albedo[block], mirrors.pixel, guide)
             _add(indirect[block], mirrors.pixel, light.glossy + light.glossy_by_glass + shown + known)
             lit.append(diffuse)
-            mirrors = further
+            mirrors, sure = further, surely
             total += rays + drawn
         hits = ShadingPoints.concatenate(lit)
         light = tail_light(scene, hits, bounces + 1, key, threads, cache, near)
         _add(indirect[block], hits.pixel, light * _INV_PI)
-        _add(albedo[block], hits.pixel, hits.albedo * sharp[block][hits.pixel, None])
         if progress is not None and not progress(block.stop / n):
             raise Cancelled
     return Reflections(direct, indirect, total, albedo)

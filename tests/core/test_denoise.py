@@ -121,7 +121,7 @@ def test_prefiltered_guides_beat_noisy_ones(denoiser):
     noisy, true, albedo, normal = picture()
     rng = np.random.default_rng(8)
     guides = [np.clip(guide + 0.2 * rng.normal(size=guide.shape), -1, 1) for guide in (albedo, normal)]
-    clean_guides = denoiser.prefilter(*guides)
+    clean_guides = [denoiser.prefilter(kind, guide) for kind, guide in zip(("albedo", "normal"), guides, strict=True)]
     assert np.mean((clean_guides[0] - albedo) ** 2) < np.mean((guides[0] - albedo) ** 2) / 4
     assert (
         error(denoiser.denoise(noisy, *clean_guides, clean_aux=True), true) < error(noisy, true) / 50
@@ -171,7 +171,7 @@ def test_without_a_library_a_blur_stands_in_and_says_so(blurrer):
     noisy[3, 3] = np.nan
     clean = blurrer.denoise(noisy, albedo, normal, preserve_mean=True)
     assert error(clean, true) < error(np.nan_to_num(noisy), true) / 50  # measured: 1/300
-    assert blurrer.prefilter(albedo, normal)[0].shape == albedo.shape
+    assert blurrer.prefilter("albedo", albedo).shape == albedo.shape
 
 
 def test_a_library_that_cannot_be_loaded_is_a_warning(tmp_path):

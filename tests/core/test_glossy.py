@@ -1,6 +1,7 @@
 """Glossy light: shadow rays and rays drawn from lobes give the same light, which is that of closed forms and quadrature."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from lumigate.core.lamps.lookup import can_be_met, emitter_density, lamp_along
 from lumigate.core.lamps.sample import sample_emitter
 from lumigate.core.lamps.tables import WORLD
 from lumigate.core.methods.glossy import has_lobes, reflect
+from lumigate.core.pipeline import render
 from lumigate.core.rays import RayScene
-from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE
+from lumigate.core.settings import RenderSettings
+from lumigate.core.surfaces.layout import DIFFUSE, GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE
 from lumigate.core.surfaces.lobes import LOBE, lobe_value, set_lobe
 from lumigate.core.surfaces.program import new_registers
 from lumigate.core.transport import transport
@@ -305,6 +308,42 @@ def test_light_from_mirror_to_mirror_is_indirect():
     direct, _, indirect = seen_in_mirror(mirror_room(mirrors=(0,)), 0.3)
     assert direct == 0
     assert indirect == pytest.approx(7, rel=1e-4)
+
+
+def test_the_denoiser_s_guide_in_a_mirror_is_without_noise():
+    """What is half a mirror itself is followed one way or the other at random; its albedo is told as it is."""
+    scene = mirror_room(mirrors=(0,))
+    constant = scene.tables.materials.constant
+    constant[0, GLOSSY_F0 : GLOSSY_F90 + 3] = 0.3
+    constant[0, DIFFUSE : DIFFUSE + 3] = 0.6
+    constant[1, DIFFUSE : DIFFUSE + 3] = 0.25
+    points = points_at(64, 0.0, f0=1.0)
+    points.wo[:] = np.array([0.3, 0, 1]) / math.hypot(0.3, 1)
+    guide = reflect(scene.tables, points, 16, 8, 4, 1).albedo
+    np.testing.assert_allclose(guide, guide[0, 0], rtol=1e-4)
+    assert 0.3 < guide[0, 0] <= 0.6
+    constant[0, GLOSSY_F0 : GLOSSY_F90 + 3] = 1.0  # a mirror through and through shows what lies beyond
+    constant[0, DIFFUSE : DIFFUSE + 3] = 0.0
+    np.testing.assert_allclose(reflect(scene.tables, points, 16, 8, 4, 1).albedo, 0.25, rtol=1e-3)
+
+
+def test_a_wide_lobe_shows_the_lamp_in_a_mirror():
+    """To the cache of light a mirror is as dim as a wall: a polished floor has the lamp's highlight by way of it all the same."""
+    floor = [(-3, -3, 0), (3, -3, 0), (3, 3, 0), (-3, 3, 0)]
+    mirror = [(2, -2, 0.2), (2, 2, 0.2), (2, 2, 3), (2, -2, 3)]
+    stuff = materials((0.0, 0.0), (0.0, 0.0))
+    stuff.tables.constant[:, GLOSSY_F0 : GLOSSY_F90 + 3] = np.array([[0.5], [0.95]])
+    stuff.tables.constant[0, ROUGHNESS] = 0.6
+    stuff.tables.flags[:] |= sc.GLOSSY_LOBE
+    lamps = lamps_of(lamp(sc.POINT, 5.0, position=(1, 0, 1.8), radius=0.2))
+    eye = camera(position=(0, 0, 2), width=32, height=24)
+    whole = sc.Scene(geometry(*quads(floor, mirror), np.repeat([0, 1], 2)), stuff, lamps, sc.World(np.zeros((1, 1, 3), F)), eye)
+    found = {}
+    for method in ("importance-sampling", "instant-radiosity"):
+        request = RenderSettings(method=method, denoise=False, reflections=16, direct_samples=16, layers=("GlossyIndirect",))
+        found[method] = np.mean([render(whole, replace(request, seed=seed)).layers["GlossyIndirect"].mean() for seed in range(4)])
+    assert found["importance-sampling"] == pytest.approx(found["instant-radiosity"], rel=0.06)
+    assert found["instant-radiosity"] > 1e-3
 
 
 # -- work --------------------------------------------------------------------------------------------------
