@@ -4,7 +4,7 @@
 
 A kernel is a thousand times slower in Python: a test that takes more than S CPU seconds is cut off, and counts for the lines that it
 has reached.  What kernels do beyond Python (Embree's calls, words of memory, functions by address) is done by ctypes here.
-Not part of CI: it takes half an hour.
+Not part of CI: it takes an hour or more.
 """
 
 from __future__ import annotations

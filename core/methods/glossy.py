@@ -48,8 +48,9 @@ MAX_REFLECTIONS = 32  # from mirror to mirror
 _SURE = 3  # reflections after which chance ends dim paths
 # Rougher surfaces that a reflection shows are lit as diffuse ones are.
 _NARROW = np.float32(0.35)
-_SHINY = np.float32(0.5)  # the same share beyond which the cache, to which all is diffuse, does not know what is seen
-_MIRROR = np.float32(0.9)  # share of what a mirror reflects that its lobe does
+# Shares of the narrow lobe in all that a surface reflects: beyond the first the cache, to which all is diffuse, does not know
+# what is seen; beyond the second the surface is a mirror to the denoiser's guide.
+_SHINY, _MIRROR = np.float32(0.5), np.float32(0.9)
 _SHARP = np.float32(0.2)  # roughness of what mirrors well enough to show edges
 _SEED = 0x9E3779B9  # sets these rays apart from those of other stages
 _0 = np.float32(0.0)
