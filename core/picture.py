@@ -17,6 +17,8 @@ from .view.points import ShadingPoints
 from .view.primary import View
 
 MIRRORED, MIRRORED_PIXELS = 0.1, 0.01  # albedo in a mirror that a denoiser goes by, and the least share of the pixels
+MARGIN = 16  # pixels around what is denoised of a picture, which a denoiser sees, too
+QUICKER = {"high": "balanced", "balanced": "fast"}  # of OIDN's qualities, for layers that gain little by the better one
 LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
 # What passes average; position and depth are the first one's.
 _MEANS = (*LIGHT, "albedo", "normal", "guide_albedo", "guide_normal")
@@ -138,28 +140,48 @@ class Picture:
         direct, indirect: which light.  quality: as `Denoiser.denoise` has it.
         """
 
-        guide = self.guide_albedo
-        beyond = guide - self.albedo  # what mirrors and glass show: few rays have told
-        if np.count_nonzero(beyond.max(axis=2) > MIRRORED) > MIRRORED_PIXELS * self.depth.size:
-            guide = self.albedo + denoiser.prefilter("albedo", beyond, quality="fast", threads=threads)
-
-        def cleaned(image: np.ndarray, **options) -> np.ndarray:
-            return denoiser.denoise(image, guide, self.guide_normal, position=self.position, quality=quality, threads=threads, **options)
+        def cleaned(
+            image: np.ndarray, guide: np.ndarray, quality: str | None = quality, preserve_mean: bool = True, **options
+        ) -> np.ndarray:
+            return denoiser.denoise(
+                image, guide, self.guide_normal, position=self.position, quality=quality, threads=threads, preserve_mean=preserve_mean,
+                **options,
+            )  # fmt: skip
 
         found = {}
         if indirect and self.diffuse_indirect.any() and not self.smooth:
             found["diffuse_indirect"] = self._diffuse_cleaned(denoiser, cleaned)
         if indirect and self.glossy_indirect.any():
-            found["glossy_indirect"] = cleaned(self.glossy_indirect, preserve_mean=True, clean_aux=True)
+            guide, clean = self._mirrored_guide(denoiser, threads, quality)
+            found["glossy_indirect"] = cleaned(self.glossy_indirect, guide, clean_aux=clean)
         if direct and self.direct.any():
-            found["direct"] = cleaned(self.direct, preserve_mean=True)
+            found["direct"] = cleaned(self.direct, self.albedo, QUICKER.get(quality, quality))
         return replace(self, **found)
+
+    def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
+        """The albedo with what mirrors and glass show, of which few rays have told, and whether it is free of noise."""
+        beyond = self.guide_albedo - self.albedo
+        marked = beyond.max(axis=2) > MIRRORED
+        if np.count_nonzero(marked) <= MIRRORED_PIXELS * self.depth.size:
+            return self.guide_albedo, True
+        if quality == "fast":
+            return self.guide_albedo, False
+        rows, columns = _around(marked)
+        guide = self.guide_albedo.copy()
+        guide[rows, columns] = self.albedo[rows, columns] + denoiser.prefilter(
+            "albedo", beyond[rows, columns], quality="fast", threads=threads
+        )
+        return guide, True
 
     def _diffuse_cleaned(self, denoiser: Denoiser, cleaned: Callable[..., np.ndarray]) -> np.ndarray:
         """The diffuse indirect light without noise: a blur keeps textures only where it is free of albedo."""
         if denoiser.available:
-            return cleaned(self.diffuse_indirect, preserve_mean=True, clean_aux=True) * (self.albedo > 0)
-        diffuse = np.where(self.albedo > 0, cleaned(self.irradiance), np.float32(0)) * self.albedo * np.float32(1 / np.pi)
+            return cleaned(self.diffuse_indirect, self.albedo, clean_aux=True) * (self.albedo > 0)
+        diffuse = (
+            np.where(self.albedo > 0, cleaned(self.irradiance, self.albedo, preserve_mean=False), np.float32(0))
+            * self.albedo
+            * np.float32(1 / np.pi)
+        )
         # What counts is the mean of the picture, not of the irradiance.
         return mean_factor(self.diffuse_indirect, diffuse) * diffuse
 
@@ -209,6 +231,12 @@ class Picture:
             offset=(camera.border[0], camera.border[1]),
             full_size=(camera.width, camera.height),
         )
+
+
+def _around(marked: np.ndarray) -> tuple[slice, slice]:
+    """The rows and columns that hold all marked pixels, and a margin."""
+    rows, columns = (np.flatnonzero(marked.any(axis=axis)) for axis in (1, 0))
+    return tuple(slice(max(0, at[0] - MARGIN), at[-1] + 1 + MARGIN) for at in (rows, columns))
 
 
 def splat(points: ShadingPoints, radiance: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -220,7 +220,7 @@ class RenderSettings:
                 numbers = QUALITIES["medium"]  # passes are planned in units of the usual numbers
         sampled = method in ("importance-sampling", "fuzzy-clustering")
         denoise = sampled if self.denoise is None else self.denoise
-        choice = {"direct_samples": (4, 16), "reflections": (2, 8)}
+        choice = {"direct_samples": (4, 16), "reflections": (4 if method == "importance-sampling" else 2, 8)}
         open_ = {name: few if sampled else many for name, (few, many) in choice.items() if getattr(self, name) is None}
         return replace(self, method=method, denoise=denoise, target_error=goal, **numbers, **open_)
 
@@ -239,9 +239,12 @@ class RenderSettings:
             return self
         fewer = {
             name: max(1, round(quality * getattr(self, name)))
-            for name in ("direct_samples", "samples", "gather", "reflections")
+            for name in ("direct_samples", "samples", "gather")
             if getattr(self, name) > 0
         }
+        # A quick picture's reflections err more than the rest of its light.
+        if self.reflections:
+            fewer["reflections"] = max(1, round((quality**0.5 if quality < 1 else quality) * self.reflections))
         # Primary samples are cheap, and no denoiser mends an edge that few of them have drawn.
         pixel_samples = max(1, round(quality**0.25 * self.pixel_samples))
         vpls = max(min(self.vpls, 256), round(quality**0.5 * self.vpls))

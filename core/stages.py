@@ -293,7 +293,9 @@ def indirect_stage(
         return nothing, Vpls.allocate(0)
     with run.stage("indirect") as tick:
         if sampler:
-            irradiance = sampler.irradiance(points, tick, first=run.turn * max(settings.samples, settings.gather))
+            irradiance = sampler.irradiance(
+                points, tick, first=run.turn * max(settings.samples, settings.gather), by_share=width is not None and settings.skipping
+            )
             run.rays["shadow"] += sampler.rays
             run.pairs += sampler.pairs
             return irradiance, vpls

@@ -55,11 +55,13 @@ _TEXTURE_SAMPLES = 16
 
 def _box(scene: Scene) -> np.ndarray:
     """(2, 3) float32 bounds of the triangles, a little enlarged so that nothing lies on its faces."""
-    used = scene.geometry.vertices[np.unique(scene.geometry.triangles)].astype(np.float64)
-    used = used[np.isfinite(used).all(1)]
-    if not len(used):
+    vertices = scene.geometry.vertices
+    used = np.isfinite(vertices).all(axis=1)
+    used &= np.bincount(scene.geometry.triangles.ravel(), minlength=len(used)) > 0
+    if not used.any():
         return np.array([[-1, -1, -1], [1, 1, 1]], np.float32)
-    low, high = used.min(0), used.max(0)
+    corners = vertices if used.all() else vertices[used]
+    low, high = corners.min(0).astype(np.float64), corners.max(0).astype(np.float64)
     margin = 1e-4 * np.linalg.norm(high - low) + 1e-5
     return np.stack([low - margin, high + margin]).astype(np.float32)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import kernel, leaf
+from ..jit import inlined, kernel, leaf
 from ..lamps import focused
 from ..particles import Vpls, trace_particles
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
@@ -29,7 +29,6 @@ from ..rays.packet import (
     ORG_Z,
     T_FAR,
     WIDTH,
-    disable_ray,
     hit_t,
     hit_triangle,
     hit_u,
@@ -50,7 +49,7 @@ from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..surfaces.visibility import nearest_surface, transmittance1
 from ..threads import Progress, part, run_chunks
 from ..transport import Transport
-from ..view.points import ShadingPoints
+from ..view.points import ShadingPoints, shares
 from ..vpl_pool import BATCH_SEED, Particles, vpl_pool
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
@@ -62,6 +61,7 @@ CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
 BLOCK = 16  # of them, summed together
 KEPT = 4  # times the lights asked for stay in the pool: a point looks at one subset, and all points at more lights
+WHOLE = 2.0  # points that are half of what their pixel shows, or more, get all rays
 PICKS = 8  # of a subset: more of them go to further subsets
 PATHS = 0.16  # of the cache a point, times the root of its rays: what they find is noisier than what the cache knows
 MIN_PATHS = 20000
@@ -74,135 +74,117 @@ _INV_PI = np.float32(1.0 / np.pi)
 
 
 @kernel
-def _gather(scene, cache, points, begin, end, samples, first, g_max, near, bounces, seed, out):
-    """Adds to the points begin..end-1 what `samples` cosine-distributed rays each find, less what lights carry; the rays traced."""
+def _gather(scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, out):
+    """Adds to the points begin..end-1 what their `counts` (N,) cosine-distributed rays find, less what lights carry; the rays traced."""
+    owner, turn = np.empty(WIDTH, np.int64), np.empty(WIDTH, np.int64)
     direction, hit = np.empty((WIDTH, 3), np.float32), np.empty((WIDTH, 3), np.float32)
     return _gather_leaf(
-        scene, cache, points, begin, end, samples, first, g_max, near, bounces, seed, out, new_packet(), new_packet(),
-        np.zeros(SURFACE, np.float32), np.zeros(LOBE, np.float32), new_registers(scene.materials), direction, np.empty(WIDTH, np.int32), hit,
+        scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, out, new_packet(), new_packet(),
+        np.zeros(SURFACE, np.float32), np.zeros(LOBE, np.float32), new_registers(scene.materials), owner, turn, direction,
+        np.empty(WIDTH, np.int32), hit,
     )  # fmt: skip
 
 
 @leaf
 def _gather_leaf(
-    scene,
-    cache,
-    points,
-    begin,
-    end,
-    samples,
-    first,
-    g_max,
-    near,
-    bounces,
-    seed,
-    out,
-    packet,
-    single,
-    surface,
-    lobe,
-    rows,
-    direction,
-    found,
-    hit,
-):
+    scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, out, packet, single, surface, lobe, rows,
+    owner, turn, direction, found, hit,
+):  # fmt: skip
     """`_gather`, its scratch given: it counts no references."""
-    share = _1 / np.float32(samples)
+    n = np.int64(0)
     rays = 0
     for base in range(begin, end, WIDTH):
-        lanes = min(WIDTH, end - base)
-        for s in range(samples):
-            for lane in range(lanes):
-                k = base + lane
+        top = min(base + WIDTH, end)
+        most = 0
+        for k in range(base, top):
+            most = max(most, counts[k])
+        for s in range(most):
+            for k in range(base, top):
+                if s >= counts[k]:
+                    continue
                 u1, u2 = r2(first + s, hash_combine(seed, k))
                 lx, ly, lz = cosine_hemisphere(u1, u2)
                 dx, dy, dz = to_world(lx, ly, lz, points.ns[k, 0], points.ns[k, 1], points.ns[k, 2])
-                direction[lane, 0], direction[lane, 1], direction[lane, 2] = dx, dy, dz
                 gx, gy, gz = points.ng[k, 0], points.ng[k, 1], points.ng[k, 2]
                 if dx * gx + dy * gy + dz * gz <= 0:
-                    disable_ray(packet, lane)
                     continue
                 ox, oy, oz = offset_origin(
                     points.position[k, 0], points.position[k, 1], points.position[k, 2], gx, gy, gz, points.error[k], dx, dy, dz
                 )
-                set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, np.float32(np.inf), DIFFUSE)
+                set_ray(packet, n, ox, oy, oz, dx, dy, dz, _0, np.float32(np.inf), DIFFUSE)
+                owner[n], turn[n] = k, first + s
+                direction[n, 0], direction[n, 1], direction[n, 2] = dx, dy, dz
+                n += 1
                 rays += 1
-            intersect_packet(scene.rays, ALL, packet, lanes)
-            for lane in range(lanes):
-                found[lane] = hit_triangle(packet, lane) if packet.f[T_FAR * WIDTH + lane] >= 0 else -1
-                hit[lane, 0], hit[lane, 1], hit[lane, 2] = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
-            for lane in range(lanes):
-                triangle = found[lane]
-                if triangle < 0:
-                    continue
-                k = base + lane
-                dx, dy, dz = direction[lane, 0], direction[lane, 1], direction[lane, 2]
-                path = np.uint32(k * np.int64(977) + first + s)
-                u, v, t = hit[lane, 0], hit[lane, 1], hit[lane, 2]
-                wr = wg = wb = share
-                if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
-                    ox, oy, oz = offset_origin(
-                        points.position[k, 0], points.position[k, 1], points.position[k, 2],
-                        points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz,
+                if n == WIDTH:
+                    _gathered(
+                        scene, cache, points, counts, n, g_max, near, bounces, seed, out, packet, single, surface, lobe, rows,
+                        owner, turn, direction, found, hit,
                     )  # fmt: skip
-                    triangle, u, v, t, tr, tg, tb = nearest_surface(
-                        scene, single, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, 60
-                    )
-                    if triangle < 0:
-                        continue
-                    wr, wg, wb = wr * tr, wg * tg, wb * tb
-                x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
-                cos_y = -(gx * dx + gy * dy + gz * dz)
-                behind = cos_y < 0
-                if behind:
-                    gx, gy, gz, cos_y = -gx, -gy, -gz, -cos_y
-                cell = find_cell(
-                    cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
-                )  # fmt: skip
-                if cell >= 0:
-                    bright = cache.bright[cell]
-                    if bright > 0:
-                        cos_x = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
-                        rest = _1 - bright / (bright + cache.tau) * min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
-                        wr, wg, wb = wr * rest, wg * rest, wb * rest
-                    if t > near:
-                        add_known(cache, bounces - 1, cell, wr, wg, wb, out, k)
-                        continue
-                evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
-                sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
-                if sx * gx + sy * gy + sz * gz < 0:
-                    sx, sy, sz = -sx, -sy, -sz
-                path_light(
-                    scene,
-                    single,
-                    rows,
-                    surface,
-                    lobe,
-                    cache,
-                    near,
-                    x,
-                    y,
-                    z,
-                    error,
-                    gx,
-                    gy,
-                    gz,
-                    sx,
-                    sy,
-                    sz,
-                    -dx,
-                    -dy,
-                    -dz,
-                    bounces,
-                    seed,
-                    path,
-                    out,
-                    k,
-                    wr,
-                    wg,
-                    wb,
-                )
+                    n = np.int64(0)
+    if n > 0:
+        _gathered(
+            scene, cache, points, counts, n, g_max, near, bounces, seed, out, packet, single, surface, lobe, rows,
+            owner, turn, direction, found, hit,
+        )  # fmt: skip
     return rays
+
+
+@leaf
+def _gathered(
+    scene, cache, points, counts, lanes, g_max, near, bounces, seed, out, packet, single, surface, lobe, rows,
+    owner, turn, direction, found, hit,
+):  # fmt: skip
+    """Traces the `lanes` gather rays of a packet and adds what they find to their owners."""
+    intersect_packet(scene.rays, ALL, packet, lanes)
+    for lane in range(lanes):
+        found[lane] = hit_triangle(packet, lane) if packet.f[T_FAR * WIDTH + lane] >= 0 else -1
+        hit[lane, 0], hit[lane, 1], hit[lane, 2] = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
+    for lane in range(lanes):
+        triangle = found[lane]
+        if triangle < 0:
+            continue
+        k = owner[lane]
+        dx, dy, dz = direction[lane, 0], direction[lane, 1], direction[lane, 2]
+        path = np.uint32(k * np.int64(977) + turn[lane])
+        u, v, t = hit[lane, 0], hit[lane, 1], hit[lane, 2]
+        wr = wg = wb = _1 / np.float32(counts[k])
+        if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
+            ox, oy, oz = offset_origin(
+                points.position[k, 0], points.position[k, 1], points.position[k, 2],
+                points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz,
+            )  # fmt: skip
+            triangle, u, v, t, tr, tg, tb = nearest_surface(
+                scene, single, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, 60
+            )
+            if triangle < 0:
+                continue
+            wr, wg, wb = wr * tr, wg * tg, wb * tb
+        x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
+        cos_y = -(gx * dx + gy * dy + gz * dz)
+        behind = cos_y < 0
+        if behind:
+            gx, gy, gz, cos_y = -gx, -gy, -gz, -cos_y
+        cell = find_cell(
+            cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
+        )  # fmt: skip
+        if cell >= 0:
+            bright = cache.bright[cell]
+            if bright > 0:
+                cos_x = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
+                rest = _1 - bright / (bright + cache.tau) * min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
+                wr, wg, wb = wr * rest, wg * rest, wb * rest
+            if t > near:
+                add_known(cache, bounces - 1, cell, wr, wg, wb, out, k)
+                continue
+        evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
+        sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+        if sx * gx + sy * gy + sz * gz < 0:
+            sx, sy, sz = -sx, -sy, -sz
+        path_light(
+            scene, single, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, bounces, seed, path,
+            out, k, wr, wg, wb,
+        )  # fmt: skip
 
 
 @leaf
@@ -256,16 +238,22 @@ def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, li
         out[k, c + 2] += w * b * vpls.flux[j, 2]
 
 
+@inlined
+def looks_of(samples, subsets):
+    """At how many subsets of the lights a point of so many shadow rays looks."""
+    return min(max(1, samples // PICKS), subsets)
+
+
 @kernel
-def _sample_lights(scene, points, vpls, lights, begin, end, samples, first, g_max, cutouts, seed, out):
-    """Adds to the points begin..end-1 the light of VPLs picked by what they give unshadowed; the shadow rays traced.
+def _sample_lights(scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out):
+    """Adds to the points begin..end-1 the light of `counts` (N,) VPLs each, picked by what they give unshadowed; the shadow rays traced.
 
     Each point looks at a few of the subsets of `lights` (S, 7, K), drawn by a hash.
     """
     size = lights.shape[2]
     owner, light, value = np.empty(WIDTH, np.int64), np.empty(WIDTH, np.int64), np.empty(WIDTH, np.float32)
     return _sample_lights_leaf(
-        scene, points, vpls, lights, begin, end, samples, first, g_max, cutouts, seed, out, new_packet(), np.zeros(SURFACE, np.float32),
+        scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out, new_packet(), np.zeros(SURFACE, np.float32),
         new_registers(scene.materials), np.empty(size, np.float32),
         np.empty(size // BLOCK, np.float32), owner, light, value,
     )  # fmt: skip
@@ -273,15 +261,16 @@ def _sample_lights(scene, points, vpls, lights, begin, end, samples, first, g_ma
 
 @leaf
 def _sample_lights_leaf(
-    scene, points, vpls, lights, begin, end, samples, first, g_max, cutouts, seed, out, packet, surface, rows, f, blocks,
+    scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out, packet, surface, rows, f, blocks,
     owner, light, value,
 ):  # fmt: skip
     """`_sample_lights`, its scratch given: it counts no references."""
     subsets = len(lights)
-    looks = min(max(1, samples // PICKS), subsets)
     n = np.int64(0)
     rays = 0
     for k in range(begin, end):
+        samples = counts[k]
+        looks = looks_of(samples, subsets)
         key = hash_combine(hash_combine(seed, k), first)
         start = uniform(key, 0, 0, 0)
         done = 0
@@ -416,25 +405,31 @@ class ImportanceSampling:
             self.lights[k, :, : len(part.bounce)] = np.vstack(rows)
         return self.vpls, counts
 
-    def irradiance(self, points: ShadingPoints, progress: Progress | None = None, *, first: int = 0) -> np.ndarray:
-        """Indirect irradiance at N points, (N, 3 G) float32, W/m^2: three columns for each of G light groups."""
+    def irradiance(self, points: ShadingPoints, progress: Progress | None = None, *, first: int = 0, by_share: bool = False) -> np.ndarray:
+        """Indirect irradiance at N points, (N, 3 G) float32, W/m^2: three columns for each of G light groups.
+
+        by_share: points that are a small part of what their pixel shows get fewer rays.
+        """
         n = len(points.pixel)
         out = self.scene.emitters.no_light(n)
         cutouts = bool((self.scene.materials.flags & TRANSPARENT).any())
+        share = shares(points) if by_share else np.ones(n, np.float32)
+        gather, samples = (np.ceil(most * np.minimum(1, WHOLE * share)).astype(np.int32) for most in (self.gather, self.samples))
+        gather, samples = (np.maximum(counts, min(1, most)) for counts, most in ((gather, self.gather), (samples, self.samples)))
 
         def work(begin, end):
             rays = _gather(
-                self.scene, self.cache, points, begin, end, self.gather, first, self.g_max, self.near, self.bounces,
+                self.scene, self.cache, points, gather, begin, end, first, self.g_max, self.near, self.bounces,
                 np.uint32(self.seed + 3), out,
             )  # fmt: skip
             if self.lights.size and self.samples:
                 rays += _sample_lights(
-                    self.scene, points, self.vpls, self.lights, begin, end, self.samples, first, self.g_max, cutouts,
+                    self.scene, points, self.vpls, self.lights, samples, begin, end, first, self.g_max, cutouts,
                     np.uint32(self.seed + 4), out,
                 )  # fmt: skip
             return rays
 
         self.rays += sum(run_chunks(work, n, CHUNK, self.threads, progress))
-        looks = min(max(1, self.samples // PICKS), len(self.lights))
-        self.pairs += n * looks * self.lights.shape[2]
+        looks = np.minimum(np.maximum(1, samples // PICKS), len(self.lights))
+        self.pairs += int(looks.sum()) * self.lights.shape[2]
         return out

@@ -37,6 +37,7 @@ GUIDE_PRIOR = 4.0
 LEAST_BRIGHT = np.float32(0.25)
 MOST_TURNS = 8  # of glossy reflections in the cache
 CHUNK = 16384  # probes a chunk
+FEW_PROBES = 16384  # which tell about the size of the cells
 MISSED, DIFFUSE_LINK, GLOSSY_LINK = 0, 1, 2
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -285,19 +286,18 @@ def _solve(
     trust = np.float32(BALANCE / max(1, len(probes.valid) // DEPTH))
     likeness[:] = PRIOR
     sums = np.zeros((count, 2), np.float32)
+    carried = np.empty((len(link), direct.shape[1]), np.float32)
     # Glossy links take no bounce: what they carry is found turn by turn.
-    for turn in range(turns * len(radiosity)):
-        go_on(0.4 + 0.6 * turn / (turns * len(radiosity)))
-        bounce = turn // turns
-        if turn % turns == 0 and turns > 1 and bounce > 0:
+    schedule = [(bounce, first) for bounce in range(len(radiosity)) for first in _turns(turns, bounce)]
+    for step, (bounce, first) in enumerate(schedule):
+        go_on(0.4 + 0.6 * step / len(schedule))
+        if first and turns > 1 and bounce > 0:
             radiosity[bounce] = radiosity[bounce - 1]
         total = np.zeros_like(direct)
-
-        def send(begin: int, end: int, bounce=bounce, total=total) -> None:
-            for level in range(begin, end):
-                _send(places[level], link, carry, glossy, radiosity, bounce, total)
-
-        run_chunks(send, LEVELS, 1, threads)  # the cells of a level are its own
+        run_chunks(
+            lambda begin, end, bounce=bounce: _carry(link, carry, glossy, radiosity, bounce, begin, end, carried), len(link), CHUNK, threads
+        )
+        _add(places, carried, total, threads)
         _smooth(total, linked, unit, parent, order, likeness)
         np.add(direct, total, out=radiosity[bounce])
         _balance(*looked_up, root, trust, bounce, radiosity, sums)
@@ -322,17 +322,13 @@ def _scatter(cell, values, out):
 
 
 @kernel
-def _send(cell, link, carry, glossy, radiosity, bounce, total):
-    """Adds to the cells (M,) what they get over the links of their probes in a bounce."""
-    for i in range(len(cell)):
+def _carry(link, carry, glossy, radiosity, bounce, begin, end, carried):
+    """What the links begin..end-1 carry in a bounce into `carried` (M, 3 G)."""
+    for i in range(begin, end):
         row = bounce if glossy[i] else bounce - 1
-        if row >= 0:
-            to, source = total[cell[i]], radiosity[row, link[i]]
-            r, g, b = carry[i, 0], carry[i, 1], carry[i, 2]
-            for c in range(0, len(to), 3):
-                to[c] += r * source[c]
-                to[c + 1] += g * source[c + 1]
-                to[c + 2] += b * source[c + 2]
+        for c in range(0, carried.shape[1], 3):
+            for k in range(3):
+                carried[i, c + k] = carry[i, k] * radiosity[row, link[i], c + k] if row >= 0 else _0
 
 
 @leaf
@@ -460,21 +456,28 @@ def _brightness(probes, cells, link_cell, parent, level_of, prior, radiosity, br
 
 def cell_size(probes: Probes, origin: np.ndarray, extent: float, seed: int) -> float:
     """The side of the finest cells (m) at which they hold `PROBES_A_CELL` probes on average."""
+    smallest = extent / 40000.0  # the key's bits
+    size = 0.02 * extent
+    if len(probes.valid) > FEW_PROBES:  # a few of them tell nearly as much: cells go about with the square of the size
+        step = -(-len(probes.valid) // FEW_PROBES) | 1  # odd: first and second probes of paths
+        some = Probes(*(np.ascontiguousarray(rows[::step]) for rows in probes))
+        size = _size_for(some, origin, size * step**0.5, smallest, extent, seed) / step**0.5
+    return max(_size_for(probes, origin, size, smallest, extent, seed), smallest)
+
+
+def _size_for(probes: Probes, origin: np.ndarray, size: float, low: float, high: float, seed: int) -> float:
+    """`cell_size` between low and high, by a search that begins at `size`."""
     n = int(probes.valid.sum())
     bits = max(10, int(np.ceil(np.log2(2 * max(n, 1) + 2))))
     keys = np.empty(1 << bits, np.uint64)
     wanted = max(1.0, n / PROBES_A_CELL)
-    smallest = extent / 40000.0  # the key's bits
-    low, high = smallest, extent
-    size = 0.02 * extent
     for _ in range(6):
         count = _count_cells(probes, origin, np.float32(size), np.uint32(seed), keys, np.full(1 << bits, -1, np.int32))
         if 0.8 < count / wanted < 1.25:
             break
         low, high = (low, size) if count < wanted else (size, high)
-        # Cells go about with the square of the size.
         size = float(np.clip(size * np.sqrt(count / wanted), low, high))
-    return max(size, smallest)
+    return size
 
 
 def build_light_cache(probes: Probes, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None) -> LightCache:
@@ -524,6 +527,11 @@ def _glossy_turns(probes: Probes) -> int:
     glossy = probes.link == GLOSSY_LINK
     kept = float(probes.carry[glossy].mean(axis=1).sum()) / max(1, int((probes.valid > 0).sum()))
     return 1 + (int(np.clip(np.ceil(np.log(0.01) / np.log(min(kept, 0.8))), 1, MOST_TURNS)) if kept > 0 else 0)
+
+
+def _turns(turns: int, bounce: int) -> list[bool]:
+    """The rounds of a bounce, True for its first.  Each bounce begins with the light of the one before, of which little is missing."""
+    return [turn == 0 for turn in range(max(1, turns - bounce) if turns > 1 else 1)]
 
 
 @kernel

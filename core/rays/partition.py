@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..jit import kernel
+
 OBJECT_BITS = 31
 
 
@@ -32,15 +34,26 @@ class Partition(NamedTuple):
 
 def valid_triangles(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(T,) bool: finite corners and an area that is not zero."""
-    finite = np.isfinite(vertices).all(axis=1)
-    usable = finite[triangles].all(axis=1)
-    with np.errstate(invalid="ignore", over="ignore"):
-        a = vertices[triangles[:, 0]].astype(np.float64)
-        e1 = vertices[triangles[:, 1]] - a
-        e2 = vertices[triangles[:, 2]] - a
-        pairs = ((0, 1), (1, 2), (2, 0))
-        area = np.logical_or.reduce([e1[:, i] * e2[:, j] != e1[:, j] * e2[:, i] for i, j in pairs])
-    return usable & area
+    valid = np.empty(len(triangles), np.bool_)
+    _valid(vertices, triangles, valid)
+    return valid
+
+
+@kernel
+def _valid(vertices, triangles, valid):
+    corner = np.empty((3, 3), np.float64)
+    for t in range(len(triangles)):
+        finite = True
+        for k in range(3):
+            for c in range(3):
+                corner[k, c] = vertices[triangles[t, k], c]
+                finite &= np.isfinite(corner[k, c])
+        area = False
+        for i in range(3):
+            j = (i + 1) % 3
+            first, second = corner[1, i] - corner[0, i], corner[1, j] - corner[0, j]
+            area |= first * (corner[2, j] - corner[0, j]) != second * (corner[2, i] - corner[0, i])
+        valid[t] = finite and area
 
 
 def partition(

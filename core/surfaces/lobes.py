@@ -125,7 +125,7 @@ def reflection_count(lobe, dr, dg, db, most):
     if not lobe[ALPHA] > _0:
         return 0
     share = lobe[ALBEDO] / (lobe[ALBEDO] + _THIRD * (dr + dg + db))
-    return max(np.int64(1), np.int64(math.ceil(np.float32(most) * min(_1, _FULL * share)))) if most > 0 else np.int64(0)
+    return max(np.int64(1), np.int64(np.float32(most) * min(_1, _FULL * share) + _HALF)) if most > 0 else np.int64(0)
 
 
 @inlined

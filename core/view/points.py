@@ -58,6 +58,13 @@ class ShadingPoints(NamedTuple):
         return ShadingPoints(*(np.concatenate(arrays) for arrays in zip(*parts)))
 
 
+def shares(points: ShadingPoints) -> np.ndarray:
+    """Part of its pixel's diffuse albedo that each point is, (N,) float32; 0 where its own is black."""
+    albedo = points.albedo.sum(axis=1)
+    whole = np.bincount(points.pixel, albedo)
+    return np.divide(albedo, whole[points.pixel], out=np.zeros_like(albedo), where=albedo > 0)
+
+
 def pixel_maxima(values: np.ndarray, pixel: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """(H, W, C) of values (N, C): of a pixel's points the largest counts, so that single marked points are not lost."""
     out = np.zeros((shape[0] * shape[1], values.shape[1]), np.float32)
