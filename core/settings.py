@@ -237,14 +237,10 @@ class RenderSettings:
         """The request for one pass that takes about `quality` of the time of one, with random numbers of its own."""
         if quality == 1.0 and number == 0:
             return self
-        fewer = {
-            name: max(1, round(quality * getattr(self, name)))
-            for name in ("direct_samples", "samples", "gather")
-            if getattr(self, name) > 0
-        }
-        # A quick picture's reflections err more than the rest of its light.
-        if self.reflections:
-            fewer["reflections"] = max(1, round((quality**0.5 if quality < 1 else quality) * self.reflections))
+        # The few rays of lamps and lobes cost little, and what they find errs more than the rest of a quick picture.
+        slower = quality**0.5 if quality < 1 else quality
+        parts = {"direct_samples": slower, "reflections": slower, "samples": quality, "gather": quality}
+        fewer = {name: max(1, round(part * n)) for name, part in parts.items() if (n := getattr(self, name)) > 0}
         # Primary samples are cheap, and no denoiser mends an edge that few of them have drawn.
         pixel_samples = max(1, round(quality**0.25 * self.pixel_samples))
         vpls = max(min(self.vpls, 256), round(quality**0.5 * self.vpls))
