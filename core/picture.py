@@ -17,6 +17,7 @@ from .view.points import ShadingPoints
 from .view.primary import View
 
 MIRRORED, MIRRORED_PIXELS = 0.1, 0.01  # albedo in a mirror that a denoiser goes by, and the least share of the pixels
+MOSTLY_MIRRORED = 0.04  # share of the pixels from which on a quick picture's guide is worth a denoising, too
 MARGIN = 16  # pixels around what is denoised of a picture, which a denoiser sees, too
 QUICKER = {"high": "balanced", "balanced": "fast"}  # of OIDN's qualities, for layers that gain little by the better one
 LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
@@ -162,9 +163,9 @@ class Picture:
         """The albedo with what mirrors and glass show, of which few rays have told, and whether it is free of noise."""
         beyond = self.guide_albedo - self.albedo
         marked = beyond.max(axis=2) > MIRRORED
-        if np.count_nonzero(marked) <= MIRRORED_PIXELS * self.depth.size:
+        if marked.mean() <= MIRRORED_PIXELS:
             return self.guide_albedo, True
-        if quality == "fast":
+        if quality == "fast" and marked.mean() < MOSTLY_MIRRORED:
             return self.guide_albedo, False
         rows, columns = _around(marked)
         guide = self.guide_albedo.copy()
