@@ -17,6 +17,7 @@ import numpy as np
 from .denoise import Denoiser
 from .metrics import FLOOR
 from .picture import Picture
+from .settings import RenderSettings
 
 GROUPS = 3
 # relMSE falls with samples to the power of -SLOPE (of nine scenes: -0.29 to -0.83), raw noise by -1.
@@ -25,6 +26,7 @@ SLOPE = 0.5
 UNSEEN = 1.36
 BRIGHTEST, DARK = 6.0, 0.2  # times D and its mean: where B and C are cut
 UNSEEN_NOISE = 1e-4  # relMSE of noise that nobody sees: a hundredth of the light
+MANY_RAYS = 16  # a shading point: the default of the accurate method
 SMALL_PICTURE = 100_000  # pixels below which each group is A in turn, for one alone is not certain enough
 
 
@@ -92,3 +94,11 @@ class Passes:
         """Its indirect light (H, W, 3), denoised if there is a denoiser, in double precision."""
         clean = picture.denoised(denoiser, self.threads, direct=False, quality="balanced") if denoiser else picture
         return clean.indirect.astype(np.float64)
+
+
+def denoising_quality(settings: RenderSettings, weight: float) -> str:
+    """What OIDN is to spend on a picture of passes of so much weight: in a quick one more of its time is better spent on rays."""
+    if settings.smooth:
+        return "fast"
+    rays = weight * (settings.samples + settings.gather) if settings.method == "importance-sampling" else MANY_RAYS
+    return "fast" if rays < MANY_RAYS else "balanced" if rays <= MANY_RAYS else "high"

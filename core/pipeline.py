@@ -14,7 +14,7 @@ from .lamps import DirectLight, LightGroups, world_tables
 from .layers import Layers
 from .memory import check_memory
 from .methods.glossy import Reflections
-from .passes import Passes
+from .passes import Passes, denoising_quality
 from .picture import Picture, nearest_triangles
 from .planning.machine import cached_machine
 from .planning.planner import Planner, reduced
@@ -41,7 +41,6 @@ from .transport import Transport
 from .view.primary import View, view
 
 GLANCE = 64  # pixels along the longer side of a picture that tells what the whole one will show
-MANY_RAYS = 16  # a shading point: the default of the accurate method
 LOADED: set[str] = set()  # methods whose kernels this process has in memory, which the first pass of one pays for
 
 
@@ -208,14 +207,6 @@ def _render(
         "warnings": run.warnings,
     }
     return RenderResult(layers, stats)
-
-
-def denoising_quality(settings: RenderSettings, weight: float) -> str:
-    """What OIDN is to spend on a picture of passes of so much weight: in a quick one more of its time is better spent on rays."""
-    if settings.smooth:
-        return "fast"
-    rays = weight * (settings.samples + settings.gather) if settings.method == "importance-sampling" else MANY_RAYS
-    return "fast" if rays < MANY_RAYS else "balanced" if rays <= MANY_RAYS else "high"
 
 
 def _planner(run: Run, settings: RenderSettings, pixels: int, threads: int) -> Planner:

@@ -10,7 +10,9 @@ from .machine import Machine
 
 # What a pass of quality 1 costs on scenes of middling difficulty, in rays of `Machine.ray`: the first of a process, which loads its
 # kernels, the beginning of any, and each pixel.
-LOADING_RAYS, BEGIN_RAYS, PIXEL_RAYS = 450_000.0, 400_000.0, 55.0
+LOADING_RAYS, BEGIN_RAYS, PIXEL_RAYS = 450_000.0, 1_500_000.0, 75.0
+# What each pixel costs however few its rays, as a quality: view, lobes, probes (480x270: .41 living room, .28 atrium, .56 Sponza).
+BASE = 0.42
 # How much the proportions of the first guesses count beside one pass that was seen, and how much the guesses themselves.
 TRUST, FAITH = 0.002, 1e-6
 LEAST_PART = 0.02  # of a first guess: nothing is free
@@ -18,14 +20,14 @@ LEAST_PART = 0.02  # of a first guess: nothing is free
 
 @dataclass
 class PassCost:
-    """seconds(pixels, quality) = begin + each * pixels * quality, fitted to the passes seen so far.
+    """seconds(pixels, quality) = begin + each * pixels * (BASE + quality), fitted to the passes seen so far.
 
     guess: (3,) seconds of loading the kernels (0 where they are loaded), of a pass's beginning, and of one pixel of quality 1.
     """
 
     guess: np.ndarray
     fitted: np.ndarray = field(init=False)
-    seen: list[tuple[float, float]] = field(default_factory=list)  # (pixels * quality, seconds)
+    seen: list[tuple[float, float]] = field(default_factory=list)  # (pixels * (BASE + quality), seconds)
 
     def __post_init__(self) -> None:
         self.fitted = self.guess.copy()
@@ -37,7 +39,7 @@ class PassCost:
 
     def observe(self, pixels: int, quality: float, seconds: float) -> None:
         """Note a pass, and fit again: least squares of relative errors, in units of the guesses."""
-        self.seen.append((pixels * quality, seconds))
+        self.seen.append((pixels * (BASE + quality), seconds))
         loading, begin, each = self.guess
         rows = [np.array([loading if k == 0 else 0.0, begin, each * work]) / taken for k, (work, taken) in enumerate(self.seen)]
         # Loading is the machine's alone; a slow scene is slow in both of the others, whose proportion is held to.
@@ -48,11 +50,11 @@ class PassCost:
 
     def seconds(self, pixels: int, quality: float) -> float:
         """Predicted seconds of the next pass."""
-        return self._begin + self.fitted[2] * pixels * quality
+        return self._begin + self.fitted[2] * pixels * (BASE + quality)
 
     def quality(self, pixels: int, seconds: float) -> float:
         """The quality whose pass takes so long; negative where not even the beginning fits."""
-        return (seconds - self._begin) / (self.fitted[2] * pixels)
+        return (seconds - self._begin) / (self.fitted[2] * pixels) - BASE
 
     @property
     def _begin(self) -> float:

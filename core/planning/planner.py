@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from ..denoise import Denoiser
-from ..passes import GROUPS, SLOPE, UNSEEN_NOISE, Passes
+from ..passes import GROUPS, SLOPE, UNSEEN_NOISE, Passes, denoising_quality
 from ..picture import Picture
 from ..scene import Camera
 from ..settings import RenderSettings
@@ -23,12 +23,14 @@ from .machine import Machine
 LEAST, MOST = 0.125, 8.0
 LARGE_PICTURE = 500_000  # pixels above which passes are not made larger than 1, for their memory
 MOST_PASSES = 256
-BLIND = 0.25  # of a budget, for the first pass where only the machine is known
-INFORMED = 0.55  # where there was a pilot
+BLIND = 0.4  # of a budget, for the first pass where only the machine is known
+INFORMED = 0.8  # where there was a pilot: a second pass pays once more for what every pass begins with
 FULL = 0.97  # of a budget is planned: predictions are not exact
 LEAP = 4.0  # most by which a pass is better than the one before: what it costs is not known further ahead
+# Time of the layers' denoising by that of as many pictures of `Machine.denoising`, for the qualities that pictures get.
+DENOISING = {"fast": 0.6, "balanced": 1.0, "high": 2.1}
 PILOT_PIXELS, PILOT_QUALITY = 8_000, 0.25
-PILOT_SHARE = 0.07  # of a budget, at most
+PILOT_SHARE = 0.1  # of a budget, at most
 SMALLER = 6  # times as many pixels as the pilot has make it worth while
 # relMSE of a picture by that of one of fewer pixels and as many samples in each: the denoiser has more to go by.
 SIZE_SLOPE = 0.35
@@ -65,10 +67,20 @@ class Planner:
         """Largest quality of a pass."""
         return MOST if self.pixels < LARGE_PICTURE else 1.0
 
-    @property
-    def finishing(self) -> float:
-        """Seconds from the last pass to the layers."""
-        return self.machine.denoising(self.pixels, self.images) if self.settings.denoise else 0.0
+    def finishing(self, weight: float) -> float:
+        """Seconds from the last of passes of so much quality in all to the layers."""
+        if not self.settings.denoise:
+            return 0.0
+        return DENOISING[denoising_quality(self.settings, weight)] * self.machine.denoising(self.pixels, self.images)
+
+    def _for_passes(self, left: float) -> float:
+        """Seconds for further passes, of those that are left of the budget: the denoiser takes longer for more rays."""
+        made = sum(done["quality"] for done in self.passes)
+        quick, many = (left - self.finishing(weight) for weight in (0.0, 2.0))
+        if made > 1 or made + self.cost.quality(self.pixels, many) > 1:
+            return many
+        # With so few rays the denoiser is quick.
+        return min(quick, self.cost.seconds(self.pixels, 1 - made))
 
     def pilot_passes(self) -> int:
         """How many passes of a pilot are worth their time: one tells the cost, three the error, none where the picture is small itself."""
@@ -103,7 +115,7 @@ class Planner:
         """Quality of the first pass."""
         settings = self.settings
         if settings.time_budget is not None:
-            return self._first_of_budget(settings.time_budget - elapsed - self.finishing)
+            return self._first_of_budget(self._for_passes(settings.time_budget - elapsed))
         if settings.target_error is None:
             self.reasons.append("neither a time nor an error was asked for: one pass with the numbers as they are")
             return 1.0
@@ -153,7 +165,7 @@ class Planner:
         if passes.count >= MOST_PASSES:
             return None
         if self.settings.time_budget is not None:
-            return self._next_of_budget(FULL * self.settings.time_budget - elapsed - self.finishing)
+            return self._next_of_budget(self._for_passes(FULL * self.settings.time_budget - elapsed))
         if self.settings.target_error is None or not self.rounds:
             return None
         if passes.count % GROUPS:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lumigate.core.passes import UNSEEN, UNSEEN_NOISE, Passes
+from lumigate.core.passes import UNSEEN, UNSEEN_NOISE, Passes, denoising_quality
 from lumigate.core.picture import Picture
-from lumigate.core.pipeline import denoising_quality, render
+from lumigate.core.pipeline import render
 from lumigate.core.settings import RenderSettings
 
 
