@@ -24,6 +24,7 @@ LEAST, MOST = 0.125, 8.0
 LARGE_PICTURE = 500_000  # pixels above which passes are not made larger than 1, for their memory
 MOST_PASSES = 256
 BLIND = 0.4  # of a budget, for the first pass where only the machine is known
+ALONE = 0.88  # where no second pass would fit behind it
 INFORMED = 0.8  # where there was a pilot: a second pass pays once more for what every pass begins with
 FULL = 0.97  # of a budget is planned: predictions are not exact
 LEAP = 4.0  # most by which a pass is better than the one before: what it costs is not known further ahead
@@ -142,7 +143,10 @@ class Planner:
     def _first_of_budget(self, left: float) -> float:
         least = self.cost.seconds(self.pixels, LEAST)
         whole = self.cost.quality(self.pixels, left)
-        quality = self._bounded(self.cost.quality(self.pixels, (INFORMED if self.pilot else BLIND) * left))
+        share = INFORMED if self.pilot else BLIND
+        if self.pilot and (1 - INFORMED) * left < self.cost.seconds(self.pixels, LEAST):
+            share = ALONE
+        quality = self._bounded(self.cost.quality(self.pixels, share * left))
         if least > left:
             self.reasons.append(
                 f"the smallest pass takes about {least:.2g} s, and {max(left, 0):.2g} s of the time are left: one of it alone"
