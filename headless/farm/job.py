@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import math
 import os
@@ -45,13 +46,16 @@ def connected(scheduler: str | None, workers: int | None) -> Iterator[Client]:
                 dashboard_address=":0", silence_logs=50,
             )  # fmt: skip
             stack.enter_context(cluster)
+        refused = None
         try:
             client = stack.enter_context(Client(scheduler or cluster, timeout=CONNECT))
         except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:  # the last two: certificates are missing
-            reason = str(error) or type(error).__name__
-            raise SceneError(
-                f"no scheduler answers at {scheduler!r} ({reason}); start one with `dask scheduler`, or use --workers"
-            ) from error
+            refused = str(error) or type(error).__name__
+        if refused is not None:
+            # The client's end stops a thread under a lock of Dask's.  Were it to come by chance, while Dask holds that lock to start
+            # another, both would wait for ever; nothing holds it any more, now that the error is gone.
+            gc.collect()
+            raise SceneError(f"no scheduler answers at {scheduler!r} ({refused}); start one with `dask scheduler`, or use --workers")
         try:
             client.wait_for_workers(1, timeout=CONNECT)
         except TimeoutError as error:

@@ -1,5 +1,6 @@
 """A farm of two processes gives one machine's bits, whatever becomes of its workers, and says in a line what is wrong."""
 
+import gc
 import json
 import os
 import signal
@@ -143,10 +144,17 @@ def test_what_is_wrong_with_a_part_is_one_line(farm, scene, tmp_path, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
+def _clients():
+    return [found for found in gc.get_objects() if type(found) is Client]
+
+
 def test_unreachable_scheduler_is_one_line(tmp_path, capsys, monkeypatch):
+    before = _clients()
     monkeypatch.setattr(job, "CONNECT", 1)
     assert main(["farm", "cornell", "-o", str(tmp_path / "f.exr"), "--scheduler", "127.0.0.1:9", *FRAMES]) == 2
     assert "no scheduler answers at '127.0.0.1:9'" in capsys.readouterr().err
+    # Ended by the garbage collector at some later time, a client can hold up Dask for ever.
+    assert not [found for found in _clients() if not any(found is known for known in before)]
 
 
 @pytest.mark.parametrize(
@@ -157,11 +165,13 @@ def test_unreachable_scheduler_is_one_line(tmp_path, capsys, monkeypatch):
     ],
 )
 def test_missing_certificates_are_one_line(setting, where, told, tmp_path, capsys):
+    before = _clients()
     with dask.config.set(setting):
         assert main(["farm", "cornell", "-o", str(tmp_path / "f.exr"), "--scheduler", where, *FRAMES]) == 2
     error = capsys.readouterr().err.strip()
     assert "\n" not in error
     assert told in error
+    assert not [found for found in _clients() if not any(found is known for known in before)]
 
 
 def test_a_scheduler_without_workers_is_one_line(scene, tmp_path, capsys, monkeypatch):
