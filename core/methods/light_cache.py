@@ -531,7 +531,7 @@ def _glossy_turns(probes: Probes) -> int:
 
 def _turns(turns: int, bounce: int) -> list[bool]:
     """The rounds of a bounce, True for its first.  Each bounce begins with the light of the one before, of which little is missing."""
-    return [turn == 0 for turn in range(max(1, turns - bounce) if turns > 1 else 1)]
+    return [turn == 0 for turn in range(max(1, turns - bounce))]
 
 
 @kernel

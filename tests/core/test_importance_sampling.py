@@ -10,6 +10,7 @@ from lumigate.core.methods.probes import trace_probes
 from lumigate.core.rays import RayScene
 from lumigate.core.threads import Cancelled
 from lumigate.core.transport import transport
+from lumigate.core.view.points import shares
 from lumigate.core.view.primary import view
 
 
@@ -58,6 +59,41 @@ def test_lights_and_gather_rays_share_the_light(room, path_traced):
     gathered = solver.irradiance(points).mean()
     assert 0.2 * path_traced.mean() < gathered < 0.8 * path_traced.mean()
     assert np.mean(pictures) == pytest.approx(path_traced.mean(), rel=0.01)
+
+
+def halved(points):
+    """Each point twice, as a tenth and as nine tenths of a pixel of its own."""
+    n = len(points.pixel)
+    part = np.tile(np.array([0.1, 0.9], np.float32), n)
+    pairs = points.take(np.repeat(np.arange(n), 2))
+    return pairs._replace(albedo=part[:, None] * np.ones((2 * n, 3), np.float32), pixel=np.repeat(np.arange(n, dtype=np.int32), 2)), part
+
+
+def test_small_parts_of_a_pixel_get_fewer_rays_and_the_same_light(room, path_traced):
+    tables, points = room
+    pairs, part = halved(points)
+    assert shares(pairs) == pytest.approx(part)
+    found, rays = [], {}
+    for seed in range(4):
+        solver = ImportanceSampling(samples=16, gather=16, seed=seed)
+        solver.cache_light(tables, pairs, paths=40000)
+        solver.prepare(tables, pairs, 1024)
+        for by_share in (False, True):
+            before = solver.rays
+            light = solver.irradiance(pairs, by_share=by_share)
+            rays[by_share] = solver.rays - before
+        found.append(light)
+    # 16 + 16 rays of the larger parts, 4 + 4 of the smaller ones; some leave the surface below its horizon.
+    assert rays[True] == pytest.approx(0.625 * rays[False], rel=0.05)
+    mean = np.mean(found, axis=0)
+    for which in (part < 0.5, part > 0.5):
+        assert mean[which].mean() == pytest.approx(path_traced.mean(), rel=0.015)
+
+
+def test_black_points_have_no_share_and_no_division_by_zero(room):
+    _, points = room
+    assert not shares(points._replace(albedo=np.zeros_like(points.albedo))).any()
+    assert shares(points.take(slice(0, 0))).shape == (0,)
 
 
 def test_nothing_is_systematically_wrong_in_any_part_of_the_view(room, path_traced):

@@ -119,3 +119,48 @@ def test_the_denoiser_works_the_longer_the_more_rays_there_were():
     assert [denoising_quality(settings, weight) for weight in (0.25, 1, 4)] == ["fast", "balanced", "high"]
     assert denoising_quality(replace(settings, method="fuzzy-clustering"), 4) == "fast"
     assert denoising_quality(replace(settings, method="instant-radiosity"), 1) == "balanced"
+
+
+class Recorder:
+    """A denoiser that leaves everything as it is, and notes the guides that it was given."""
+
+    available = True
+
+    def __init__(self):
+        self.guides, self.filtered = [], []
+
+    def denoise(self, image, albedo, normal, **options):
+        self.guides.append((albedo, options.get("clean_aux", False), options["quality"]))
+        return image
+
+    def prefilter(self, kind, guide, **options):
+        self.filtered.append(guide.shape[:2])
+        return np.zeros_like(guide)
+
+
+def mirrored(rows, columns):
+    """A picture whose guide shows an albedo of 1/2 in a mirror of so many pixels, where it has none itself."""
+    one, zero = np.ones((100, 100, 3), np.float32), np.zeros((100, 100, 3), np.float32)
+    albedo, guide = one.copy(), one.copy()
+    albedo[40 : 40 + rows, 40 : 40 + columns] = 0
+    guide[40 : 40 + rows, 40 : 40 + columns] = 0.5
+    return Picture(one, one, one, albedo, zero, one, guide, one, zero, zero[..., 0])
+
+
+@pytest.mark.parametrize(
+    ("rows", "quality", "clean", "filtered"),
+    [
+        (5, "balanced", True, []),  # half a hundredth of the pixels
+        (20, "fast", False, []),
+        (20, "balanced", True, [(52, 42)]),
+        (50, "fast", True, [(76, 42)]),
+    ],
+)
+def test_what_mirrors_show_guides_reflections_alone(rows, quality, clean, filtered):
+    recorder = Recorder()
+    picture = mirrored(rows, 10)
+    picture.denoised(recorder, 1, quality=quality)
+    (diffuse, _, _), (glossy, told, _), (direct, _, _) = recorder.guides
+    assert np.array_equal(diffuse, picture.albedo) and np.array_equal(direct, picture.albedo)
+    assert told == clean and recorder.filtered == filtered
+    assert np.array_equal(glossy, picture.albedo if filtered else picture.guide_albedo)

@@ -97,6 +97,19 @@ def test_pilot_sets_the_first_round_of_a_target():
     assert quality(0.001) == (LEAST, False)
 
 
+def test_quick_passes_keep_more_of_their_rays_to_lamps_and_lobes():
+    usual = RenderSettings().with_defaults()
+    quick, many = usual.scaled(0.25, 1), usual.scaled(4.0, 1)
+    assert (quick.samples, quick.gather, quick.direct_samples, quick.reflections) == (2, 2, 2, 2)
+    assert (many.samples, many.gather, many.direct_samples, many.reflections) == (32, 32, 16, 16)
+
+
+def test_the_denoiser_has_more_time_where_there_are_more_rays():
+    planner = Planner(RenderSettings(time_budget=10).with_defaults(), 100_000, MACHINE)
+    assert planner.finishing(0.5) < planner.finishing(1.0) < planner.finishing(2.0)
+    assert Planner(RenderSettings(time_budget=10, denoise=False).with_defaults(), 100_000, MACHINE).finishing(2.0) == 0
+
+
 def test_cost_follows_what_was_seen():
     cost = PassCost(np.array([0.5, 0.2, 1e-5]))
     for k, quality in enumerate((0.25, 0.5, 2.0)):
