@@ -122,6 +122,11 @@ class Lamps:
         arrays = {n: v[mask] if isinstance(v, np.ndarray) else [x for x, keep in zip(v, mask) if keep] for n, v in vars(self).items()}
         return Lamps(**arrays)
 
+    def joined(self, others: Lamps) -> Lamps:
+        """These lamps and others after them."""
+        both = ((n, mine, getattr(others, n)) for n, mine in vars(self).items())
+        return Lamps(**{n: np.concatenate([a, b]) if isinstance(a, np.ndarray) else a + b for n, a, b in both})
+
     @staticmethod
     def empty() -> Lamps:
         """No lamps."""

@@ -34,11 +34,11 @@ _PLAIN_CONSTRAINTS = {
     "LIMIT_ROTATION", "LIMIT_SCALE", "LOCKED_TRACK", "PIVOT", "STRETCH_TO", "TRACK_TO", "TRANSFORM",
 }  # fmt: skip
 
-_BYSTANDERS = (bpy.types.Scene, bpy.types.Collection, bpy.types.Screen, bpy.types.WindowManager)  # know cameras, but do not follow them
+_BYSTANDERS = (bpy.types.Scene, bpy.types.Collection, bpy.types.Screen, bpy.types.WindowManager)  # know others, but do not follow them
 
 
-def only_cameras_move(scene: bpy.types.Scene) -> bool:
-    """Whether nothing but cameras, and what they hang on, can be otherwise at another frame; False where that is not certain.
+def only_cameras_and_lamps_move(scene: bpy.types.Scene) -> bool:
+    """Whether nothing but cameras, lamps, and what they hang on, can be otherwise at another frame; False where that is not certain.
 
     What moves is told by what has keys, drivers, physics and modifiers, not by evaluating frames: so it holds for every frame.
     """
@@ -47,21 +47,23 @@ def only_cameras_move(scene: bpy.types.Scene) -> bool:
         return False
     if any(image.source in ("SEQUENCE", "MOVIE") for image in bpy.data.images):
         return False
-    chain = {ob for ob in scene.objects if ob.type == "CAMERA"}
+    chain = {ob for ob in bpy.data.objects if ob.type in ("CAMERA", "LIGHT")}
     for ob in list(chain):
         while ob.parent is not None:
             chain.add(ob := ob.parent)
-    if any(ob.type not in ("CAMERA", "EMPTY") or any(c.type not in _PLAIN_CONSTRAINTS for c in ob.constraints) for ob in chain):
+    # A lamp that hangs on a mesh stays where the mesh does, which has to stand still then.
+    chain -= {ob for ob in chain if ob.type not in ("CAMERA", "LIGHT", "EMPTY")}
+    if any(constraint.type not in _PLAIN_CONSTRAINTS for ob in chain for constraint in ob.constraints):
         return False
-    eyes = chain | {ob.data for ob in chain if ob.data is not None}
+    free = chain | {ob.data for ob in chain if ob.data is not None}
     users = bpy.data.user_map()
-    still = (block for block in users if block not in eyes)
+    still = (block for block in users if block not in free)
     if any(_animated(block) or _animated(getattr(block, "node_tree", None)) for block in still):
         return False
     if any(ob not in chain and _moves(ob) for ob in bpy.data.objects):
         return False
-    # Whatever else looks at a camera, or hangs on one, may follow it.
-    others = set().union(*(users[ob] for ob in chain)) - eyes if chain else set()
+    # Whatever else looks at one of these, or hangs on it, may follow it.
+    others = set().union(*(users[ob] for ob in chain)) - free if chain else set()
     return all(isinstance(block, _BYSTANDERS) for block in others)
 
 

@@ -15,7 +15,7 @@ from ..core.scene import Scene
 from ..core.settings import RenderSettings, SequenceSettings
 from .console import Terminal
 from .frames import TOPOLOGIES, Frame, View
-from .motion import exposures, moving_objects, only_cameras_move
+from .motion import exposures, moving_objects, only_cameras_and_lamps_move
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class ShotRenderer:
         self.scene, self.shot, self.terminal = scene, shot, terminal
         self._settings = shot.sequence.frame(shot.settings)
         self._moving = moving_objects(scene)
-        self._still = only_cameras_move(scene)
+        self._still = only_cameras_and_lamps_move(scene)
         self._last: Scene | None = None  # arrays, where they are good for other frames
         self._reuse: Reuse | None = None
         self._next = 0  # exposure that would follow without a gap

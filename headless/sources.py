@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 
 from .. import sample_scenes
-from ..addon.extract import extract_camera_alone, extract_scene
+from ..addon.extract import extract_camera_and_lamps, extract_scene
 from ..addon.files import open_scene
 from ..core.errors import SceneError
 from ..core.scene import Scene
@@ -51,9 +51,9 @@ def extract(
 ) -> Scene:
     """The arrays of `scene` as its camera sees it; raises SceneError where it cannot be rendered.
 
-    still: those of another frame, where it is known that nothing but the camera differs.
+    still: those of another frame, where it is known that nothing but the camera and lamps differs.
     """
     with quiet():
         if still is not None:
-            return extract_camera_alone(still, scene, camera=camera, size=size, frame=frame)
+            return extract_camera_and_lamps(still, scene, camera=camera, size=size, frame=frame)
         return extract_scene(scene, camera=camera, size=size, frame=frame)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import bpy
+import numpy as np
 
 from ...core.errors import SceneError
 from ...core.scene import Camera, Scene
@@ -15,9 +16,9 @@ from .camera import camera_warnings, extract_camera, find_camera, image_frame
 from .evaluation import in_render_depsgraph
 from .geometry import Collected, assemble, collect
 from .lamps import CollectedLamps, collect_lamps, to_arrays
-from .world import Cycles, extract_world
+from .world import SUN_OF_SKY, Cycles, extract_world
 
-__all__ = ["extract_camera_alone", "extract_scene", "extract_shown"]
+__all__ = ["extract_camera_and_lamps", "extract_scene", "extract_shown"]
 
 
 def extract_scene(
@@ -62,21 +63,26 @@ def extract_scene(
     return extracted
 
 
-def extract_camera_alone(before: Scene, scene: bpy.types.Scene, *, camera: str | None, size: tuple[int, int] | None, frame: float) -> Scene:
-    """The arrays of another frame in which nothing but the camera has moved, on those of the scene `before`.
+def extract_camera_and_lamps(
+    before: Scene, scene: bpy.types.Scene, *, camera: str | None, size: tuple[int, int] | None, frame: float
+) -> Scene:
+    """The arrays of another frame in which nothing but the camera and lamps has moved, on those of the scene `before`.
 
-    Raises what `extract_scene` does of cameras.  The viewport's evaluation is asked: it has the same camera, unless that is hidden
-    there, and costs next to nothing.
+    Raises what `extract_scene` does of cameras.  The viewport's evaluation is asked, which costs next to nothing; where it lacks the
+    camera, or shows other lamps than a render, the whole scene is read.
     """
     _go_to(scene, frame)
     layer = scene.view_layers[before.view_layer]
     layer.update()
     eye = find_camera(scene, camera).evaluated_get(layer.depsgraph)
-    if not eye.is_evaluated:
+    found = collect_lamps(layer.depsgraph)
+    lamps = to_arrays(found.lamps, before.origin)
+    suns = before.lamps.take(np.array([name.endswith(SUN_OF_SKY) for name in before.lamps.names], bool))
+    if not eye.is_evaluated or lamps.names + suns.names != before.lamps.names:
         return extract_scene(scene, camera=camera, size=size, view_layer=layer)
     view = extract_camera(eye, image_frame(scene, size))
     view.matrix[:3, 3] -= before.origin
-    return replace(before, camera=view, frame=scene.frame_current)
+    return replace(before, camera=view, lamps=lamps.joined(suns), frame=scene.frame_current)
 
 
 def _go_to(scene: bpy.types.Scene, frame: float | None) -> None:

@@ -26,6 +26,7 @@ Cycles = Literal["here", "apart", "not"]
 _MAX_WIDTH = 4096
 _WIDTH = 1024  # of a rendered panorama whose nodes name no larger image
 _CACHE_BYTES = 2**30
+SUN_OF_SKY = " (sun)"  # after the world's name: the lamp that shines as its sun disc does
 
 
 @dataclass
@@ -203,7 +204,7 @@ def _sun_lamp(world: bpy.types.World, sun: Sun, visibility: int) -> Lamp:
     x = np.cross([0, 0, 1] if abs(z[2]) < 0.9 else [1, 0, 0], z)
     x /= np.linalg.norm(x)
     return Lamp(
-        name=f"{world.name} (sun)",
+        name=world.name + SUN_OF_SKY,
         kind=SUN,
         position=np.zeros(3),
         axes=np.array([x, np.cross(z, x), z]),

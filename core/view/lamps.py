@@ -13,8 +13,9 @@ from ..lamps.groups import LightGroups
 from ..lamps.lookup import lamp_along
 from ..lamps.tables import POSITION, RADIUS, SIZE, LampTables
 from ..scene import AREA, CAMERA, SUN, TRANSMISSION, Scene
-from .camera import camera_ray
+from .camera import camera_ray, camera_tables
 
+FILTER = 10  # pixels that the widest filter of a film reaches beyond the picture
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _HALF = np.float32(0.5)
@@ -29,6 +30,15 @@ def visible_lamps(scene: Scene, groups: LightGroups | None = None) -> LampTables
     finite = np.isfinite(lamps.emission.reshape(-1, 3)).all(1)
     kept = sized & finite
     return lamp_tables(replace(scene, lamps=lamps.take(kept)), CAMERA | TRANSMISSION, groups.lamps[kept])
+
+
+def lamps_in_view(scene: Scene) -> LampTables:
+    """Those of `visible_lamps` that the camera's rays may meet, if a few others, too."""
+    lamps, border = visible_lamps(scene), scene.camera.border
+    near = np.empty(len(lamps.kind), np.int32)
+    x0, y0, x1, y1 = border[0] - FILTER, border[1] - FILTER, border[2] + FILTER, border[3] + FILTER
+    found = lamps_in_tile(lamps, camera_tables(scene.camera), x0, y0, x1, y1, near)
+    return LampTables(*(column[near[:found]] for column in lamps))
 
 
 @leaf

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lumigate.core import rays
+from lumigate.core import scene as sc
 from lumigate.core.picture import Picture
 from lumigate.core.pipeline import remember, render, scout
 from lumigate.core.reuse import Sequence
@@ -68,6 +69,21 @@ def test_history_keeps_the_light_of_a_moving_camera(room):
     assert np.mean((light[-1] - truth) ** 2) < 0.7 * np.mean((alone[-1] - truth) ** 2)
     assert abs(light[-1].mean() / truth.mean() - 1) < 0.05
     assert built == {"rays": 1, "objects": 0, "emitters": 1, "views": 6, "particles": built["particles"]}
+
+
+def test_a_lamp_that_is_not_seen_leaves_the_view_as_it_is(room):
+    def lit(position):
+        f = np.float32
+        bulb = sc.Lamps(
+            np.full(1, sc.POINT, np.int32), np.array([position], f), np.eye(3, dtype=f)[None], np.full((1, 3), 9, f), np.full(1, 0.1, f),
+            np.zeros(1, np.uint8), np.zeros(1, f), np.zeros(1, f), np.zeros((1, 2), f), np.zeros(1, np.int32),
+            np.full(1, sc.ALL_RAYS, np.uint8), np.ones(1, np.uint8), ["bulb"], [""],
+        )  # fmt: skip
+        return replace(room, lamps=bulb)
+
+    behind, ahead = (room.camera.matrix @ [0, 0, z, 1] for z in (1.0, -1.0))
+    assert frames([lit(behind[:3]), lit(behind[:3] + 0.1)], history=1)[1]["views"] == 1
+    assert frames([lit(ahead[:3]), lit(ahead[:3] + 0.01)], history=1)[1]["views"] == 2
 
 
 def test_probes_are_renewed_in_turn_and_never_outlive_the_light(room):

@@ -12,7 +12,7 @@ from lumigate.core.reuse.sequence import alike
 from lumigate.headless import arguments
 from lumigate.headless.cli import main
 from lumigate.headless.frames import View
-from lumigate.headless.motion import exposures, moving_objects, only_cameras_move
+from lumigate.headless.motion import exposures, moving_objects, only_cameras_and_lamps_move
 
 SMALL = ["--size", "24x16", "--vpls", "16", "--pixel-samples", "2", "--bounces", "2", "--no-denoise", "--history", "2"]
 
@@ -114,7 +114,7 @@ def keyed(block, path, change):
 
 
 def test_a_flown_camera_is_all_that_is_read_again(flown):
-    assert only_cameras_move(flown)
+    assert only_cameras_and_lamps_move(flown)
     view = View(size=(24, 16))
     first = view.extract(flown, 1)
     quick, whole = view.extract(flown, 4.5, first), view.extract(flown, 4.5)
@@ -124,6 +124,69 @@ def test_a_flown_camera_is_all_that_is_read_again(flown):
     assert not alike(quick.camera, first.camera)
 
 
+def lamp_of(scene, kind="POINT", name="Bulb"):
+    """An object with a new lamp."""
+    ob = bpy.data.objects.new(name, bpy.data.lights.new(name, kind))
+    scene.collection.objects.link(ob)
+    return ob
+
+
+def test_moved_lamps_are_all_that_is_read_again(flown):
+    point, sun = lamp_of(flown), lamp_of(flown, "SUN", "Sun")
+    keyed(point, "location", 0.5)
+    keyed(point.data, "energy", 5.0)
+    keyed(sun, "rotation_euler", 0.5)
+    assert only_cameras_and_lamps_move(flown)
+    view = View(size=(24, 16))
+    first = view.extract(flown, 1)
+    quick, whole = view.extract(flown, 4.5, first), view.extract(flown, 4.5)
+    assert quick.geometry is first.geometry
+    for name in ("camera", "geometry", "materials", "lamps", "world", "origin"):
+        assert alike(getattr(quick, name), getattr(whole, name)), name
+    assert not alike(quick.lamps, first.lamps)
+
+
+def test_the_sun_of_a_sky_stays_among_the_lamps(flown):
+    flown.world = bpy.data.worlds.new("Sky")
+    flown.world.use_nodes = True
+    nodes = flown.world.node_tree
+    sky = nodes.nodes.new("ShaderNodeTexSky")
+    nodes.links.new(sky.outputs["Color"], nodes.nodes["Background"].inputs["Color"])
+    keyed(lamp_of(flown), "location", 0.5)
+    view = View(size=(24, 16))
+    first = view.extract(flown, 1)
+    quick = view.extract(flown, 4, first)
+    assert quick.geometry is first.geometry and quick.lamps.names == first.lamps.names == ["Lamp", "Bulb", "Sky (sun)"]
+
+
+@pytest.mark.parametrize("hidden", ["from renders, by keys", "in the viewport", "for want of power"])
+def test_lamps_that_come_and_go_are_seen(flown, hidden):
+    lamp = lamp_of(flown)
+    keyed(lamp, "location", 0.5)
+    view = View(size=(24, 16))
+    if hidden == "from renders, by keys":
+        for frame, state in ((1, False), (4, True)):
+            lamp.hide_render = state
+            lamp.keyframe_insert("hide_render", frame=frame)
+    elif hidden == "for want of power":
+        lamp.data.energy = 0.0
+        lamp.data.keyframe_insert("energy", frame=4)
+        lamp.data.energy = 5.0
+        lamp.data.keyframe_insert("energy", frame=1)
+    else:
+        lamp.hide_viewport = True
+    first = view.extract(flown, 1)
+    quick, whole = view.extract(flown, 4, first), view.extract(flown, 4)
+    assert alike(quick.lamps, whole.lamps) and quick.skipped == whole.skipped
+    assert ("Bulb" in quick.lamps.names) == (hidden == "in the viewport")
+
+
+def test_a_lamp_on_a_moving_object_takes_the_object_along(flown):
+    keyed(next(ob for ob in flown.objects if ob.type == "MESH"), "location", 0.1)
+    lamp_of(flown).parent = next(ob for ob in flown.objects if ob.type == "MESH")
+    assert not only_cameras_and_lamps_move(flown)
+
+
 def test_a_camera_hidden_in_the_viewport_is_found(flown):
     view = View(size=(24, 16))
     first = view.extract(flown, 1)
@@ -131,17 +194,19 @@ def test_a_camera_hidden_in_the_viewport_is_found(flown):
     np.testing.assert_allclose(view.extract(flown, 5, first).camera.matrix, view.extract(flown, 5).camera.matrix)
 
 
-@pytest.mark.parametrize("what", ["object", "lamp", "material", "world", "driver", "child", "follower", "physics", "movie", "handler"])
+@pytest.mark.parametrize(
+    "what", ["object", "lit object", "material", "world", "driver", "child", "follower", "physics", "movie", "handler"]
+)
 def test_what_else_may_change_is_seen(flown, what):
     ob = next(ob for ob in flown.objects if ob.type == "MESH")
     handler = bpy.app.handlers.frame_change_post
     match what:
         case "object":
             keyed(ob, "location", 0.1)
-        case "lamp":
-            lamp = bpy.data.lights.new("Lamp", "POINT")
-            flown.collection.objects.link(bpy.data.objects.new("Lamp", lamp))
-            keyed(lamp, "energy", 5.0)
+        case "lit object":  # drawn by a lamp
+            lamp = lamp_of(flown)
+            keyed(lamp, "location", 0.1)
+            ob.constraints.new("COPY_LOCATION").target = lamp
         case "material":
             keyed(ob.active_material.node_tree.nodes["Principled BSDF"].inputs["Roughness"], "default_value", 0.1)
         case "world":
@@ -160,7 +225,7 @@ def test_what_else_may_change_is_seen(flown, what):
         case "handler":
             handler.append(len)
     try:
-        assert not only_cameras_move(flown)
+        assert not only_cameras_and_lamps_move(flown)
     finally:
         if len in handler:
             handler.remove(len)
