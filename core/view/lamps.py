@@ -11,7 +11,7 @@ from ..jit import kernel, leaf
 from ..lamps.build import lamp_tables
 from ..lamps.groups import LightGroups
 from ..lamps.lookup import lamp_along
-from ..lamps.tables import POSITION, RADIUS, SIZE, LampTables
+from ..lamps.tables import AXIS_Z, ONE_MINUS_COS, POSITION, RADIUS, SIZE, LampTables
 from ..scene import AREA, CAMERA, SUN, TRANSMISSION, Scene
 from .camera import camera_ray, camera_tables
 
@@ -19,7 +19,6 @@ FILTER = 10  # pixels that the widest filter of a film reaches beyond the pictur
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _HALF = np.float32(0.5)
-_INFINITY = np.float32(np.inf)
 
 
 def visible_lamps(scene: Scene, groups: LightGroups | None = None) -> LampTables:
@@ -43,12 +42,19 @@ def lamps_in_view(scene: Scene) -> LampTables:
 
 @leaf
 def _reach(lamps, i):
-    """Radius (m) of the sphere about its position that holds lamp i."""
-    if lamps.kind[i] == SUN:
-        return _INFINITY
+    """Radius (m) of the sphere about its position that holds lamp i, which is no sun."""
     if lamps.kind[i] == AREA:
         return _HALF * np.float32(math.sqrt(lamps.lamps[i, SIZE] ** 2 + lamps.lamps[i, SIZE + 1] ** 2))
     return lamps.lamps[i, RADIUS]
+
+
+@leaf
+def _sun_in_cone(lamps, i, dx, dy, dz, cosine):
+    """Whether sun i may be met by rays from the cone of that cosine about the unit direction d."""
+    x, y, z = lamps.lamps[i, AXIS_Z], lamps.lamps[i, AXIS_Z + 1], lamps.lamps[i, AXIS_Z + 2]
+    between = math.acos(min(max(x * dx + y * dy + z * dz, -_1), _1))
+    half = math.acos(_1 - lamps.lamps[i, ONE_MINUS_COS])
+    return between <= math.acos(min(cosine, _1)) + half + np.float32(1e-3)
 
 
 @kernel
@@ -66,6 +72,11 @@ def lamps_in_tile(lamps, camera, x0, y0, x1, y1, near):
     sine = np.float32(math.sqrt(max(_0, _1 - cosine * cosine)))
     n = 0
     for i in range(len(lamps.kind)):
+        if lamps.kind[i] == SUN:
+            if _sun_in_cone(lamps, i, dx, dy, dz, cosine):
+                near[n] = i
+                n += 1
+            continue
         vx, vy, vz = lamps.lamps[i, POSITION] - ox, lamps.lamps[i, POSITION + 1] - oy, lamps.lamps[i, POSITION + 2] - oz
         along = vx * dx + vy * dy + vz * dz
         aside = np.float32(math.sqrt(max(_0, vx * vx + vy * vy + vz * vz - along * along)))

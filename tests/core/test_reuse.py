@@ -71,19 +71,23 @@ def test_history_keeps_the_light_of_a_moving_camera(room):
     assert built == {"rays": 1, "objects": 0, "emitters": 1, "views": 6, "particles": built["particles"]}
 
 
-def test_a_lamp_that_is_not_seen_leaves_the_view_as_it_is(room):
-    def lit(position):
+@pytest.mark.parametrize("kind", [sc.POINT, sc.SUN])
+def test_a_lamp_that_is_not_seen_leaves_the_view_as_it_is(room, kind):
+    def lit(along, aside):
+        """By a lamp so far along the camera's axis, or a sun there."""
         f = np.float32
-        bulb = sc.Lamps(
-            np.full(1, sc.POINT, np.int32), np.array([position], f), np.eye(3, dtype=f)[None], np.full((1, 3), 9, f), np.full(1, 0.1, f),
-            np.zeros(1, np.uint8), np.zeros(1, f), np.zeros(1, f), np.zeros((1, 2), f), np.zeros(1, np.int32),
-            np.full(1, sc.ALL_RAYS, np.uint8), np.ones(1, np.uint8), ["bulb"], [""],
+        place = (room.camera.matrix @ [aside, 0, -along, 1])[:3]
+        towards = np.array([aside, 0, -along]) / np.hypot(aside, along)
+        axes = np.array([[towards[2], 0, -towards[0]], [0, 1, 0], towards], f)
+        lamp = sc.Lamps(
+            np.full(1, kind, np.int32), np.array([place], f), axes[None], np.full((1, 3), 9, f), np.full(1, 0.1, f),
+            np.zeros(1, np.uint8), np.full(1, 0.1, f), np.zeros(1, f), np.zeros((1, 2), f), np.zeros(1, np.int32),
+            np.full(1, sc.ALL_RAYS, np.uint8), np.ones(1, np.uint8), ["lamp"], [""],
         )  # fmt: skip
-        return replace(room, lamps=bulb)
+        return replace(room, lamps=lamp)
 
-    behind, ahead = (room.camera.matrix @ [0, 0, z, 1] for z in (1.0, -1.0))
-    assert frames([lit(behind[:3]), lit(behind[:3] + 0.1)], history=1)[1]["views"] == 1
-    assert frames([lit(ahead[:3]), lit(ahead[:3] + 0.01)], history=1)[1]["views"] == 2
+    assert frames([lit(-1, 0), lit(-1, 0.1)], history=1)[1]["views"] == 1
+    assert frames([lit(1, 0), lit(1, 0.1)], history=1)[1]["views"] == 2
 
 
 def test_probes_are_renewed_in_turn_and_never_outlive_the_light(room):
