@@ -26,10 +26,11 @@ import numpy as np
 
 from .. import sample_scenes
 from ..core.denoise import Denoiser
-from ..core.layers import Layers, auto_exposure, srgb
+from ..core.layers import Layers, auto_exposure, read_exr, srgb
 from ..core.metrics import FLOOR
 from ..core.settings import RenderSettings, SequenceSettings
 from . import contestants
+from .cache import cached_reference, scene_identity
 from .console import Terminal
 from .frames import View
 from .moved_bench import moved_rows
@@ -105,7 +106,7 @@ def frames_rows(
         built = sample_scenes.build(scene)
         animate(built, move, frames)
         with closing(Denoiser()) as denoiser:
-            halves = [_cycles(built, size, frames, reference_samples, lambda f, k=k: 7919 * (f + frames * k), None) for k in range(2)]
+            halves = _halves(built, scene_identity(scene) | {"move": move, "frames": frames}, size, frames, reference_samples)
             alone = _ours(built, size, frames, SequenceSettings(history=0), "independent")
             ours = _ours(built, size, frames, SequenceSettings(), "sequence")
             peers = [_equal_time(built, size, frames, ours, denoiser, animated) for animated in (False, True)]
@@ -129,15 +130,27 @@ def _ours(scene: bpy.types.Scene, size, frames: int, shared: SequenceSettings, n
     return found
 
 
-def _cycles(scene, size, frames: int | Sequence[int], samples: int, seed: Callable[[int], int], denoiser: Denoiser | None) -> Contestant:
-    found = Contestant("cycles+oidn" if denoiser else "reference")
+def _cycles(scene, size, frames: int | Sequence[int], samples: int, seed: Callable[[int], int], denoiser: Denoiser) -> Contestant:
+    found = Contestant("cycles+oidn")
     scene.render.use_persistent_data = True  # the faster way to a sequence, and to the same pictures
-    request = ReferenceSettings(spp=samples, size=size, denoise=denoiser is not None)
+    request = ReferenceSettings(spp=samples, size=size, denoise=True)
     for number in range(1, frames + 1) if isinstance(frames, int) else frames:
         begin = process_time()
         layers, stats = render_layers(scene, replace(request, frame=number, seed=seed(number)), denoiser=denoiser)
         found.add(layers, stats["seconds_total"], process_time() - begin)
     return found
+
+
+def _halves(scene, identity: dict, size, frames: int, samples: int) -> list[Contestant]:
+    """The reference, twice, each frame with a seed of its own; frames that are in the cache are not rendered again."""
+    scene.render.use_persistent_data = True
+    halves = []
+    for k in range(2):
+        halves.append(Contestant("reference"))
+        for frame in range(1, frames + 1):
+            file = cached_reference(scene, identity, spp=samples, size=size, frame=frame, seed=7919 * (frame + frames * k))
+            halves[-1].add(read_exr(file), 0.0, 0.0)
+    return halves
 
 
 def _equal_time(scene, size, frames: int, ours: Contestant, denoiser: Denoiser, animated: bool) -> Contestant:

@@ -47,6 +47,7 @@ def test_rows_of_a_small_run(tmp_path, monkeypatch):
         return scene
 
     monkeypatch.setattr(frames_bench, "sample_scenes", type("Scenes", (), {"build": staticmethod(small)}))
+    monkeypatch.setenv("LUMIGATE_CACHE", str(tmp_path / "cache"))  # this is not the scene whose name it has
     monkeypatch.setattr(frames_bench, "MOST_SAMPLES", 2)
     monkeypatch.setattr(frames_bench, "EQUAL_SAMPLES", (1, 2))
     rows = frames_bench.frames_rows(tmp_path, size=(32, 24), frames=3, reference_samples=4, moves=("camera",))
