@@ -41,7 +41,8 @@ SIZE, FRAMES, REFERENCE_SAMPLES = (320, 180), 60, 512
 LAYERS = ("Indirect", "Combined")
 MOVES = ("camera", "lamp", "object")
 MOST_SAMPLES = 512
-EQUAL_FRAMES, EQUAL_SAMPLES = 6, (1, 4, 16, 64)  # of Cycles' curve of time against error
+EQUAL_FRAMES, EQUAL_SAMPLES = 6, (1, 4, 16, 64)  # of relMSE, and of Cycles' curve of time against it
+CLOSER = 10  # times as many samples has the reference of these frames: in noise, weights by its square overrate what is darker by chance
 
 
 @dataclass
@@ -106,13 +107,15 @@ def frames_rows(
         built = sample_scenes.build(scene)
         animate(built, move, frames)
         with closing(Denoiser()) as denoiser:
-            halves = _halves(built, scene_identity(scene) | {"move": move, "frames": frames}, size, frames, reference_samples)
+            identity = scene_identity(scene) | {"move": move, "frames": frames}
+            halves = _halves(built, identity, size, range(1, frames + 1), reference_samples, frames)
+            close = _halves(built, identity, size, _picked(frames), CLOSER * reference_samples, frames)
             alone = _ours(built, size, frames, SequenceSettings(history=0), "independent")
             ours = _ours(built, size, frames, SequenceSettings(), "sequence")
             peers = [_equal_time(built, size, frames, ours, denoiser, animated) for animated in (False, True)]
-            curve = _curve(built, size, frames, halves, denoiser)
-        rows += _rows(move, ours, [alone, *peers], halves)
-        rows += _equal_error(move, ours, halves, curve)
+            curve = _curve(built, size, frames, close, denoiser)
+        rows += _rows(move, ours, [alone, *peers], halves, close)
+        rows += _equal_error(move, ours, close, curve)
         write_animation(folder / f"frames-{move}.webp", [peers[0], alone, ours])
     return rows
 
@@ -141,14 +144,14 @@ def _cycles(scene, size, frames: int | Sequence[int], samples: int, seed: Callab
     return found
 
 
-def _halves(scene, identity: dict, size, frames: int, samples: int) -> list[Contestant]:
-    """The reference, twice, each frame with a seed of its own; frames that are in the cache are not rendered again."""
+def _halves(scene, identity: dict, size, frames: Sequence[int], samples: int, apart: int) -> list[Contestant]:
+    """The reference of these frames, twice, each frame with a seed of its own; those that are in the cache are not rendered again."""
     scene.render.use_persistent_data = True
     halves = []
     for k in range(2):
         halves.append(Contestant("reference"))
-        for frame in range(1, frames + 1):
-            file = cached_reference(scene, identity, spp=samples, size=size, frame=frame, seed=7919 * (frame + frames * k))
+        for frame in frames:
+            file = cached_reference(scene, identity, spp=samples, size=size, frame=frame, seed=7919 * (frame + apart * k))
             halves[-1].add(read_exr(file), 0.0, 0.0)
     return halves
 
@@ -169,15 +172,18 @@ def _picked(frames: int) -> list[int]:
     return sorted({round(k) for k in np.linspace(1, frames, min(frames, EQUAL_FRAMES))})
 
 
-def _of_picked(several: list[Contestant]) -> tuple[np.ndarray, ...]:
-    """Their indirect light in those frames."""
-    return tuple(one.stack("Indirect")[np.array(_picked(len(one.layers))) - 1] for one in several)
+def _of_picked(one: Contestant, layer: str = "Indirect") -> np.ndarray:
+    """One of its layers in those frames."""
+    return one.stack(layer)[np.array(_picked(len(one.layers))) - 1]
 
 
-def _curve(scene, size, frames: int, halves: list[Contestant], denoiser: Denoiser) -> list[tuple[float, float]]:
+def _pair(halves: list[Contestant], layer: str = "Indirect") -> tuple[np.ndarray, np.ndarray]:
+    return tuple(half.stack(layer) for half in halves)
+
+
+def _curve(scene, size, frames: int, close: list[Contestant], denoiser: Denoiser) -> list[tuple[float, float]]:
     """Seconds a frame and relMSE of the indirect light of Cycles + OIDN, by growing samples."""
-    picked = _picked(frames)
-    pair = _of_picked(halves)
+    picked, pair = _picked(frames), _pair(close)
     found = [_cycles(scene, size, picked, samples, lambda f: 104729 * f, denoiser) for samples in EQUAL_SAMPLES]
     return [(statistics.median(one.seconds), error(one.stack("Indirect"), pair)) for one in found]
 
@@ -191,10 +197,10 @@ def seconds_at(curve: list[tuple[float, float]], wanted: float) -> tuple[float, 
     return (curve[0][0], "<") if wanted >= curve[0][1] else (curve[-1][0], ">")
 
 
-def _equal_error(move: str, ours: Contestant, halves: list[Contestant], curve: list[tuple[float, float]]) -> list[dict]:
+def _equal_error(move: str, ours: Contestant, close: list[Contestant], curve: list[tuple[float, float]]) -> list[dict]:
     """What a frame costs in Cycles at the sequence's error, and the points of its curve."""
     mine = statistics.median(ours.seconds[1:] or ours.seconds)
-    wanted = error(*_of_picked([ours]), _of_picked(halves))
+    wanted = error(_of_picked(ours), _pair(close))
     seconds, bound = seconds_at(curve, wanted)
     row = {"case": f"{move}, Cycles + OIDN at our error: time a frame", "value": seconds, "unit": "s", "peer_value": mine}
     rows = [row | {"ratio": mine / seconds, "bound": bound}]
@@ -204,7 +210,7 @@ def _equal_error(move: str, ours: Contestant, halves: list[Contestant], curve: l
     return [{"suite": "frames", **row} for row in rows]
 
 
-def _rows(move: str, ours: Contestant, others: list[Contestant], halves: list[Contestant]) -> list[dict]:
+def _rows(move: str, ours: Contestant, others: list[Contestant], halves: list[Contestant], close: list[Contestant]) -> list[dict]:
     rows = []
     for contestant in (ours, *others):
         for name, seconds in (("time", contestant.seconds), ("CPU time", contestant.cpu)):
@@ -213,9 +219,12 @@ def _rows(move: str, ours: Contestant, others: list[Contestant], halves: list[Co
             case = f"{move}, {contestant.name}: {name} a frame"
             rows.append({"suite": "frames", "case": case, "value": value, "unit": "s", "peer_value": mine, "ratio": mine / value})
         for layer in LAYERS:
-            pair = tuple(half.stack(layer) for half in halves)
-            for name, measure in (("temporal error", temporal_error), ("relMSE", error)):
-                value, mine = measure(contestant.stack(layer), pair), measure(ours.stack(layer), pair)
+            whole, few = _pair(halves, layer), _pair(close, layer)
+            for name, measure in (
+                ("temporal error", lambda one, layer=layer, whole=whole: temporal_error(one.stack(layer), whole)),
+                ("relMSE", lambda one, layer=layer, few=few: error(_of_picked(one, layer), few)),
+            ):
+                value, mine = measure(contestant), measure(ours)
                 case = f"{move}, {contestant.name}: {name} of {layer}"
                 rows.append({"suite": "frames", "case": case, "value": value, "unit": "", "peer_value": mine, "ratio": mine / value})
     return rows
