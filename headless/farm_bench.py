@@ -9,6 +9,7 @@ import signal
 import tempfile
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from threading import Event, Thread
 from time import perf_counter, process_time
@@ -28,7 +29,7 @@ from .sequences import Shot, ShotRenderer
 TASKS = 1000
 SIZE, FRAMES = (320, 180), 16
 KILLED_EACH = 10.0  # s, in the run whose workers are killed
-# Of that run: parts that take less time than a worker lives, its start and Blender's in it.
+# Of that run: parts, and what comes before the first of a segment, that take less time than a worker lives, its start and Blender's in it.
 SMALL, SMALL_FRAMES, SMALL_OPTIONS = (64, 36), 240, ("--history", "1", "--vpls", "512", "--pixel-samples", "4")
 
 
@@ -138,34 +139,39 @@ class _Farm:
     def run(self, name: str, workers: int, every: float = math.inf) -> tuple[float, int]:
         """Seconds by so many workers, once these are warm, and how many were killed, one each `every` seconds."""
         from .farm import job
-        from .farm.parts import frame_parts, identify
+        from .farm.parts import frame_parts, handicap_of, identify
 
         scene, digest, content = identify(str(self.file))
         folder = self.root / name
         folder.mkdir()
 
-        def work(client, runs: list[tuple[int, ...]]) -> float:
+        def work(client, shot: range, segments: list[list[tuple[int, ...]]]) -> float:
             begin = perf_counter()
-            parts = [self._part(job.job_name(), run, scene, digest) for run in runs]
+            name = job.job_name()
+            made = partial(self._part, name, shot, scene=scene, digest=digest)
+            parts = [made(run, segment=number) for number, runs in enumerate(segments) for run in runs]
             for _, result in job.Job(client, parts, content).results(lambda line: None):
                 for file, data in result["files"].items():
                     write_whole(folder / file, lambda temporary, data=data: temporary.write_bytes(data))
             return perf_counter() - begin
 
         with job.connected(None, workers) as client:
-            work(client, [(1,)] * workers)
+            # A shot's ninth frame loads every kernel; of another shot, so that what is measured opens the scene itself.
+            work(client, range(1, 10), [[(9,)]] * workers)
             numbers = range(1, self.frames + 1)
+            segments = frame_parts(numbers, numbers, workers, handicap_of(SequenceSettings()))
             if every == math.inf:
-                return work(client, frame_parts(numbers, workers)), 0
-            with killing(client, every) as killed:  # the shortest parts there are: one that outlives its workers is never done
-                return work(client, frame_parts(numbers, self.frames)), len(killed)
+                return work(client, numbers, segments), 0
+            with killing(client, every) as killed:
+                return work(client, numbers, segments), len(killed)
 
-    def _part(self, name: str, run: tuple[int, ...], scene: str, digest: str | None):
+    def _part(self, name: str, shot: range, run: tuple[int, ...], *, scene: str, digest: str | None, segment: int):
         from .farm.parts import OUTPUT, SCENE, Part
 
         size = "x".join(map(str, self.size))
         argv = ("render", SCENE, "-o", f"{OUTPUT}/f.exr", "--size", size, "--threads", "1", *self.options)
-        return Part(f"{name}-{run[0]}", (*argv, "--frames", f"1-{self.frames}", "--part", f"{run[0]}-{run[-1]}"), scene, digest, len(run))
+        argv += ("--frames", f"{shot[0]}-{shot[-1]}", "--part", f"{run[0]}-{run[-1]}")
+        return Part(f"{name}-{segment}-{run[0]}", argv, scene, digest, len(run), segment)
 
     def same(self, ours: str, theirs: str) -> int:
         """How many frames of two runs have the same bits in all layers."""
