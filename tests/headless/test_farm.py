@@ -21,7 +21,7 @@ from lumigate.core.settings import SequenceSettings
 from lumigate.headless import arguments
 from lumigate.headless.cli import main
 from lumigate.headless.farm import job, parts
-from lumigate.headless.farm.worker import PING, FarmError, FarmWorker, command_line, do_part, versions
+from lumigate.headless.farm.worker import PING, FarmError, FarmWorker, command_line, do_part, own_environment, versions
 from lumigate.headless.farm_bench import killing
 
 SMALL = ["--vpls", "16", "--pixel-samples", "2", "--bounces", "2", "--no-denoise", "--threads", "1"]
@@ -209,6 +209,14 @@ def test_a_part_on_a_worker_that_hangs_is_done_by_another(segments, farm, monkey
 def test_a_command_line_runs_in_a_folder_of_its_own(farm):
     part = parts.Part(job.job_name(), ("render", parts.SCENE, "-osmall.exr", "--size", "16x16", *SMALL), "cornell", None)
     assert list(farm.submit(do_part, part, versions(), key=part.key).result()["files"]) == ["small.exr"]
+
+
+def test_blender_has_the_users_environment_not_dasks():
+    given = dask.config.get("distributed.nanny.pre-spawn-environ")
+    assert "MALLOC_TRIM_THRESHOLD_" in given
+    dasks = {name: str(value) for name, value in given.items()}
+    assert own_environment({**dasks, "HOME": "/home/me"}) == {"HOME": "/home/me"}
+    assert own_environment({**dasks, "OMP_NUM_THREADS": "7"}) == {"OMP_NUM_THREADS": "7"}
 
 
 def test_no_scene_of_the_workers_machine_is_opened(farm, scene):
