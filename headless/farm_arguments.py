@@ -42,7 +42,9 @@ def add_farm(parser: argparse.ArgumentParser, file: Callable, folder: Callable, 
 
 
 def finish_farm(parser, arguments: argparse.Namespace, rest: list[str], parse: Callable) -> None:
-    """Check what is handed on by the grammar of the command that will read it, and set `kind` and `rest`; `baking`: as `bake` would have them."""
+    """Check what is handed on by the grammar of the command that will read it, and set `kind` and `rest`; as `bake` and `render` would
+    have them, `baking` and `sequence`.
+    """
     arguments.kind = "frames" if arguments.frames is not None else "tiles" if arguments.tiles is not None else "bake"
     is_file, is_folder = arguments.output_types
     try:
@@ -63,5 +65,5 @@ def finish_farm(parser, arguments: argparse.Namespace, rest: list[str], parse: C
         arguments.baking = parse(["bake", arguments.scene, "-o", str(arguments.output), *rest])
     else:
         shown = ["--frames", "1-1"] if arguments.kind == "frames" else []
-        parse(["render", arguments.scene, "-o", str(arguments.output), *shown, *rest])
+        arguments.sequence = parse(["render", arguments.scene, "-o", str(arguments.output), *shown, *rest]).sequence
     arguments.rest = rest

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -37,6 +36,8 @@ class ShotRenderer:
     A frame needs what the `history` exposures before it found; those that were not computed just before are computed now, without a
     picture.  Their caches of light in turn need the probes of as many before them, which cost little.  Frames in order therefore
     cost the least.
+
+    terminal: who is shown how far it is; may be another one for later frames.
     """
 
     def __init__(self, scene: bpy.types.Scene, shot: Shot, terminal: Terminal):
@@ -104,10 +105,3 @@ class ShotRenderer:
             result = render(arrays, self._settings, progress, extraction_seconds=seconds, topologies=TOPOLOGIES, sequence=self._reuse)
         result.stats["frame"] = number
         return Frame(arrays, result.layers, result.stats)
-
-
-def render_shot(scene: bpy.types.Scene, shot: Shot, wanted: Sequence[int], terminal: Terminal) -> Iterator[tuple[int, Frame]]:
-    """Render the `wanted` frames of a shot one after the other."""
-    with ShotRenderer(scene, shot, terminal) as renderer:
-        for number in wanted:
-            yield number, renderer.frame(number)

@@ -13,6 +13,7 @@ from ..addon.files import open_scene
 from ..core.errors import SceneError
 from ..core.scene import Scene
 from .console import quiet
+from .keeping import KEPT
 
 OLDEST_BLENDER = (4, 5)  # as `blender_version_min` in blender_manifest.toml
 
@@ -25,12 +26,22 @@ def open_source(source: str | None, *, detail: str = "full") -> bpy.types.Scene:
     if bpy.app.version < OLDEST_BLENDER:
         wanted = ".".join(map(str, OLDEST_BLENDER))
         raise SceneError(f"this is Blender {bpy.app.version_string}; version {wanted} or newer is needed")
+    KEPT.drop()
     if source is None:
         return bpy.context.scene
     with quiet():
         if source in sample_scenes.NAMES:
             return sample_scenes.build(source, detail=detail)
         return open_scene(Path(source))
+
+
+def state_of(source: str | None) -> tuple:
+    """What tells whether `open_source` would find the same as before: where the file is, and when it was written."""
+    try:
+        found = os.stat(source) if source is not None and source not in sample_scenes.NAMES else None
+    except OSError:  # `open_source` says so
+        found = None
+    return (source,) if found is None else (os.path.realpath(source), found.st_ino, found.st_size, found.st_mtime_ns)
 
 
 def find_scene(source: str) -> str | None:

@@ -52,19 +52,21 @@ def _results(client, parts, content, terminal: Terminal) -> Iterator[tuple]:
 
 def _frames(arguments: Namespace, client, terminal: Terminal) -> None:
     from ..farm.job import job_name
-    from ..farm.parts import OUTPUT, SCENE, Part, frame_parts, identify
+    from ..farm.parts import OUTPUT, SCENE, Part, frame_parts, handicap_of, identify
 
     scene, digest, content = identify(arguments.scene)
     files = {number: numbered(arguments.output, number) for number in arguments.frames}
     wanted = [number for number, file in files.items() if not (arguments.skip_existing and file.is_file())]
-    workers = len(client.scheduler_info()["workers"])
+    segments = frame_parts(wanted, arguments.frames, len(client.nthreads()), handicap_of(arguments.sequence))
     text = f"{arguments.frames[0]}-{arguments.frames[-1]}:{arguments.frames.step}"
     name = job_name()
     parts = []
-    for run_of in frame_parts(wanted, workers, arguments.frames.step):
-        only = f"{run_of[0]}-{run_of[-1]}:{arguments.frames.step}"
-        argv = ("render", SCENE, "-o", f"{OUTPUT}/f.exr", "--stats", f"{OUTPUT}/f.json", "--frames", text, "--part", only, *arguments.rest)
-        parts.append(Part(f"{name}-frames-{only}", argv, scene, digest, len(run_of)))
+    outputs = ("-o", f"{OUTPUT}/f.exr", "--stats", f"{OUTPUT}/f.json")
+    for segment, runs in enumerate(segments):
+        for run_of in runs:
+            only = f"{run_of[0]}-{run_of[-1]}:{arguments.frames.step}"
+            argv = ("render", SCENE, *outputs, "--frames", text, "--part", only, *arguments.rest)
+            parts.append(Part(f"{name}-frames-{only}", argv, scene, digest, len(run_of), segment))
     rows = [{"frame": number, "file": str(files[number]), "existing": True} for number in files if number not in set(wanted)]
     for part, result in _results(client, parts, content, terminal):
         for number in _numbers(part.argv):

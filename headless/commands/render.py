@@ -10,38 +10,51 @@ import bpy
 
 from ...addon.extract.film import extract_film
 from ...core.layers import write_exr
+from ...core.settings import RenderSettings
 from ..console import Terminal
 from ..contact_sheet import write_contact_sheet
 from ..debug_pictures import write_debug_pictures
 from ..frames import Frame, View, numbered, render_frame
+from ..keeping import KEPT
 from ..results import write_json
-from ..sequences import Shot, render_shot
-from ..sources import open_source
+from ..sequences import Shot, ShotRenderer
+from ..sources import open_source, state_of
 
 
 def run(arguments: Namespace, terminal: Terminal) -> None:
     """Render one frame, or each of `--frames` into a file of its own."""
-    scene = open_source(arguments.scene)
     view = View(arguments.camera, arguments.size, arguments.frame, arguments.border)
-    if arguments.scene_film:
-        arguments.settings = replace(arguments.settings, film=extract_film(scene))
-    if arguments.frames is None:
-        _save(render_frame(scene, view, arguments.settings, terminal, arguments.tiles), arguments.output, arguments.stats, terminal)
-    else:
-        _render_frames(scene, Shot(arguments.frames, view, arguments.settings, arguments.sequence), arguments, terminal)
+    if arguments.frames is not None:
+        _render_frames(Shot(arguments.frames, view, arguments.settings, arguments.sequence), arguments, terminal)
+        return
+    scene = open_source(arguments.scene)
+    settings = _filmed(arguments.settings, scene, arguments)
+    _save(render_frame(scene, view, settings, terminal, arguments.tiles), arguments.output, arguments.stats, terminal)
 
 
-def _render_frames(scene: bpy.types.Scene, shot: Shot, arguments: Namespace, terminal: Terminal) -> None:
+def _filmed(settings: RenderSettings, scene: bpy.types.Scene, arguments: Namespace) -> RenderSettings:
+    return replace(settings, film=extract_film(scene)) if arguments.scene_film else settings
+
+
+def _render_frames(shot: Shot, arguments: Namespace, terminal: Terminal) -> None:
     """The frames of a shot that are wanted, and what is left of all of them."""
+
+    def opened() -> ShotRenderer:
+        scene = open_source(arguments.scene)
+        return ShotRenderer(scene, replace(shot, settings=_filmed(shot.settings, scene, arguments)), terminal)
+
     files = {number: numbered(arguments.output, number) for number in shot.frames}
     if arguments.part is not None:
         files = {number: files[number] for number in arguments.part}
     wanted = [number for number, file in files.items() if not (arguments.skip_existing and file.is_file())]
     rows = [{"frame": number, "file": str(file), "existing": True} for number, file in files.items() if number not in set(wanted)]
-    for number, frame in render_shot(scene, shot, wanted, terminal):
-        stats = arguments.stats and numbered(arguments.stats, number)
-        _save(frame, files[number], stats, terminal)
-        rows.append({"frame": number, "file": str(files[number]), "existing": False, **frame.stats})
+    with KEPT.shot((state_of(arguments.scene), shot, arguments.scene_film), opened) as renderer:
+        renderer.terminal = terminal
+        for number in wanted:
+            frame = renderer.frame(number)
+            stats = arguments.stats and numbered(arguments.stats, number)
+            _save(frame, files[number], stats, terminal)
+            rows.append({"frame": number, "file": str(files[number]), "existing": False, **frame.stats})
     write_summary(arguments, files, rows)
 
 

@@ -2,7 +2,8 @@
 
 Requests are lines of JSON on its standard input, {"argv": arguments, "folder": where they are run, so that no relative path leads
 elsewhere}; answers are lines of JSON on its standard output: {"status": exit status, "said": what the command wrote for the user}.
-Blender wants a process, and its main thread, to itself; a crash of it does not take the worker along.
+Blender wants a process, and its main thread, to itself; a crash of it does not take the worker along.  The last shot stays open, so
+that the next part of it goes on where the last one ended.
 """
 
 from __future__ import annotations
@@ -20,11 +21,15 @@ def serve() -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)  # Blender prints there
     from ..cli import main
+    from ..keeping import KEPT
 
+    KEPT.on = True
     for line in sys.stdin:
         request, said = json.loads(line), io.StringIO()
         with chdir(request["folder"]), redirect_stderr(said), redirect_stdout(io.StringIO()):
             status = main(request["argv"])
+            if status != 0:
+                KEPT.drop()
         print(json.dumps({"status": status, "said": said.getvalue()}), file=answers)
 
 

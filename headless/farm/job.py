@@ -8,12 +8,13 @@ import math
 import os
 import statistics
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
-from time import monotonic
+from time import monotonic, time
 
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster
@@ -21,13 +22,14 @@ from distributed.comm import CommClosedError
 
 from ...core.errors import SceneError
 from ...core.threads import Cancelled, thread_count
-from .parts import Part
+from .parts import Part, Segments
 from .worker import FarmError, FarmNanny, do_part, versions
 
 CONNECT = 15  # s
 AWAITED = 60  # s in which another worker comes where all are lost
 FETCHED = 120  # s in which a part's files come from its worker
 LOOK = 1.0  # s between two looks at what is going on
+AHEAD = 2  # parts of a segment that a worker has: the one that it does, and the next one, for which it need not wait until we ask
 TRIES = 20  # of a part whose worker is lost
 GONE = "the scheduler has gone; start it again, and the job with --skip-existing"
 SLOW = 3.0  # times the usual time of a part, after which an idle worker tries it, too
@@ -72,9 +74,10 @@ def local_threads(workers: int | None) -> int:
 
 @dataclass
 class _Running:
-    """A part under way; seen: when it was first seen with a worker, which may have another one before it."""
+    """A part that is not done; worker: who was asked to do it, where that matters; seen: when it was first seen to be a worker's next."""
 
     part: Part
+    worker: str | None = None
     futures: list[Future] = field(default_factory=list)
     tries: int = 1
     copied: bool = False
@@ -94,9 +97,19 @@ class Job:
         self._send()
         self._done: SimpleQueue[tuple[str, Future]] = SimpleQueue()
         self._took: list[float] = []
+        # The job that began first goes first, though it submits later: two jobs must not take turns with a worker's Blender.
+        self._priority = -time()
         self._running = {part.key: _Running(part) for part in parts}
-        for running in self._running.values():
-            self._submit(running, running.part.key)
+        self._slow: set[str] = set()  # workers
+        self._proved: set[str] = set()  # workers that have done a part
+        rows: dict[int, list[Part]] = {}
+        for part in parts:
+            if part.segment is None:
+                self._submit(self._running[part.key], part.key)
+            else:
+                rows.setdefault(part.segment, []).append(part)
+        self._segments = Segments(rows.values())
+        self._hand_out()
 
     def _send(self) -> None:
         """Give the scene's content to a worker, from which the others have it, if none has: the last that had it may be lost."""
@@ -106,9 +119,49 @@ class Job:
             self._scene = self._client.scatter(self._content, hash=False)
 
     def _submit(self, running: _Running, key: str, **options) -> None:
+        # Without the time in which Dask holds all that comes for one, a worker does its parts in the order in which it gets them.
+        options |= {"priority": self._priority, "fifo_timeout": 0}
         future = self._client.submit(do_part, running.part, self._expected, self._scene, key=key, pure=False, **options)
         running.futures.append(future)
         future.add_done_callback(lambda done, name=running.part.key: self._done.put((name, done)))
+
+    def _hand_out(self) -> None:
+        """Give the workers what they do next of the segments.
+
+        It is theirs until they are lost; then Dask has it done by any other.
+        """
+        if not self._segments:
+            return
+        workers = self._workers()
+        if self._scene is not None and self._scene.status != "finished":
+            self._send()
+        # One that is slow gets nothing as long as there are others.
+        workers = [worker for worker in workers if worker not in self._slow] or workers
+        self._segments.keep(workers)
+        busy = Counter(running.worker for running in self._running.values() if any(not future.done() for future in running.futures))
+        # Towards the end, what a worker has not begun is better left for those that have nothing to do.  And one to which the scene has
+        # yet to be sent begins with any of the parts that wait for it.
+        ahead = AHEAD if len(self._segments) > len(workers) else 1
+        for count in range(ahead):
+            for worker in workers:
+                if busy[worker] > count or (count and worker not in self._proved):
+                    continue
+                part = self._segments.take(worker)
+                if part is None:
+                    continue
+                busy[worker] += 1
+                running = self._running[part.key] = self._running.pop(part.key)  # in the order in which they are handed out
+                running.worker = worker
+                self._submit(running, part.key, workers=[worker], allow_other_workers=True)
+
+    def _workers(self) -> list[str]:
+        """Addresses of all workers (of which `Client.scheduler_info` leaves out all but five, in some versions of Dask)."""
+        if self._client.status != "running":
+            raise SceneError(GONE)
+        try:
+            return list(self._client.nthreads())
+        except OSError as error:
+            raise SceneError(GONE) from error
 
     def results(self, tell: Callable[[str], None]) -> Iterator[tuple[Part, dict]]:
         """(part, what `do_part` gives) as they come; tell: takes lines about workers that are lost or slow.
@@ -125,6 +178,8 @@ class Job:
                 running = self._running.get(key)
                 if running is None or done not in running.futures:  # the slower one of two copies
                     continue
+                self._proved.add(running.worker)
+                self._hand_out()  # nobody waits while a result is fetched
                 result = self._result(running, done, tell)
                 if result is None:
                     continue
@@ -132,6 +187,8 @@ class Job:
                 others = [future for future in running.futures if future is not done]
                 if others:
                     self._client.cancel(others, force=True)
+                if done.key == running.part.key:  # not a copy
+                    self._slow.discard(running.worker)
                 self._took.append(result["seconds"])
                 yield running.part, result
         finally:
@@ -151,7 +208,7 @@ class Job:
                 raise SceneError(f"{running.part.key} has lost {TRIES} workers; try it alone, with fewer threads or less memory") from error
             tell(f"{running.part.key}: its worker was lost ({type(error).__name__}); it is tried again")
             running.futures.remove(done)
-            running.seen = math.inf
+            running.seen, running.worker = math.inf, None
             self._await_worker(tell)
             self._send()
             self._submit(running, f"{running.part.key}-try-{running.tries}")
@@ -159,7 +216,7 @@ class Job:
 
     def _await_worker(self, tell: Callable[[str], None]) -> None:
         """Go on as soon as there is a worker; SceneError where none comes."""
-        if self._client.nthreads():
+        if self._workers():
             return
         tell("all workers are lost; waiting for another one")
         try:
@@ -169,22 +226,26 @@ class Job:
 
     def _look_around(self, tell: Callable[[str], None]) -> None:
         """Whether the scheduler is there; a part that takes far longer than others goes to a worker that has nothing to do, too."""
-        if self._client.status != "running":
-            raise SceneError(GONE)
         self._await_worker(tell)
+        self._hand_out()
         if len(self._took) < 2:
             return
         now, processing = monotonic(), self._client.processing()
         begun = {str(key) for keys in processing.values() for key in keys}
+        waited_for: set[str] = set()  # workers
         for running in self._running.values():
-            if any(future.key in begun for future in running.futures):
+            if any(future.key in begun for future in running.futures) and running.worker not in waited_for:
                 running.seen = min(running.seen, now)
+            if running.worker is not None and running.futures:
+                waited_for.add(running.worker)
         usual = max(statistics.median(self._took), LOOK)
         slow = [running for running in self._running.values() if not running.copied and now - running.seen > SLOW * usual]
         idle = [worker for worker, keys in processing.items() if not keys]
         for running, worker in zip(slow, idle):
             tell(f"{running.part.key} is slow: another worker tries it, too")
             running.copied = True
+            if running.worker is not None:
+                self._slow.add(running.worker)
             self._submit(running, f"{running.part.key}-copy", workers=[worker], allow_other_workers=False)
 
     def cancel(self) -> None:
@@ -203,7 +264,7 @@ def run_job(
     job = Job(client, parts, scene)
     for part, result in job.results(tell):
         done += part.weight
-        if not progress(f"{len(parts)} parts on {len(client.scheduler_info()['workers'])} workers", done / whole):
+        if not progress(f"{len(parts)} parts on {len(client.nthreads())} workers", done / whole):
             job.cancel()
             raise Cancelled
         yield part, result

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .parts import frame_parts
+from .parts import Segments, frame_parts
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,8 @@ class Shot:
     hierarchies (measured), of which `parallel` part runs on all cores.  file_bytes: a triangle of the .blend file (measured).
     pixel_bytes: of a frame's EXR file (measured).  task_seconds: of the scheduler for a part (measured).  start_seconds: of Blender and
     the kernels' cache on a worker (measured).  link: bytes a second of the client's and the scheduler's network (assumed, 10 Gbit/s).
-    history: exposures before a part's first frame;  spread: standard deviation of a frame's time (of its logarithm).
+    warm_up: frames that take as long as what a worker computes before its first one, and wherever it does not go on (measured: history,
+    and the probes before that).  spread: standard deviation of a frame's time (of its logarithm).
     """
 
     frames: int = 2000
@@ -33,7 +34,7 @@ class Shot:
     task_seconds: float = 0.005
     start_seconds: float = 10.0
     link: float = 1.25e9
-    history: int = 7
+    warm_up: float = 9.0
     spread: float = 0.2
 
     @property
@@ -54,35 +55,40 @@ class Shot:
 
 def on_paper(shot: Shot, workers: int) -> dict[str, float]:
     """Seconds of a job by its parts: what is shared among workers, and what goes through one link or one scheduler."""
-    parts = frame_parts(range(shot.frames), workers)
-    exposures = shot.frames + sum(min(shot.history, part[0]) for part in parts)
-    busy = min(workers, len(parts))
+    segments = frame_parts(range(shot.frames), range(shot.frames), workers)
+    busy = len(segments)
     return {
         "frames": shot.frames * shot.frame_seconds / busy,
-        "history": (exposures - shot.frames) * shot.frame_seconds / busy,
+        "history": shot.warm_up * shot.frame_seconds,
         "scene": busy * shot.scene_seconds,
         "pictures": shot.frames * shot.picture_seconds,
-        "scheduler": len(parts) * shot.task_seconds,
+        "scheduler": sum(map(len, segments)) * shot.task_seconds,
     }
 
 
 def simulate(shot: Shot, workers: int, seed: int = 0) -> float:
-    """Seconds of the whole job: workers take part after part; scenes queue on the way out, pictures on the way back, parts at the scheduler."""
+    """Seconds of the whole job, whose parts are handed out as by `Segments`: scenes queue on the way out, pictures on the way back, parts
+    at the scheduler.
+
+    A worker that does not go on where it was, at the beginning of a segment and of what it takes from another one's, warms up.
+    """
     rng = np.random.default_rng(seed)
-    parts = frame_parts(range(shot.frames), workers)
+    segments = Segments(frame_parts(range(shot.frames), range(shot.frames), workers))
     out = scheduler = 0.0  # when each is free
-    free = [(0.0, False)] * min(workers, len(parts))  # of a worker: when, and whether it has the scene
-    heapq.heapify(free)
+    free = [(0.0, worker, -1) for worker in range(workers)]  # when, who, and the frame that it would go on with; -1: it has no scene yet
     ends: list[tuple[float, int]] = []
-    for part in parts:
-        at, warm = heapq.heappop(free)
+    while free:
+        at, worker, following = heapq.heappop(free)
+        part = segments.take(str(worker))
+        if part is None:
+            continue
         scheduler = at = max(at, scheduler) + shot.task_seconds
-        if not warm:
+        if following < 0:
             out = max(at, out) + shot.scene_seconds
             at = out + shot.start_seconds
-        exposures = len(part) + min(shot.history, part[0])
-        at += (shot.frame_seconds * rng.lognormal(-0.5 * shot.spread**2, shot.spread, exposures)).sum()
-        heapq.heappush(free, (at, True))
+        frames = (shot.frame_seconds * rng.lognormal(-0.5 * shot.spread**2, shot.spread, len(part))).sum()
+        at += frames + (shot.warm_up * shot.frame_seconds if part[0] != following else 0.0)
+        heapq.heappush(free, (at, worker, part[-1] + 1))
         ends.append((at, len(part)))
     back = 0.0
     for end, pictures in sorted(ends):

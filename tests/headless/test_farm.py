@@ -17,10 +17,11 @@ from distributed import Client, LocalCluster
 from lumigate import sample_scenes
 from lumigate.core.errors import SceneError
 from lumigate.core.layers import read_exr
+from lumigate.core.settings import SequenceSettings
 from lumigate.headless import arguments
 from lumigate.headless.cli import main
 from lumigate.headless.farm import job, parts
-from lumigate.headless.farm.worker import PING, FarmError, FarmWorker, command_line, do_part, versions
+from lumigate.headless.farm.worker import PING, FarmError, FarmWorker, command_line, do_part, own_environment, versions
 from lumigate.headless.farm_bench import killing
 
 SMALL = ["--vpls", "16", "--pixel-samples", "2", "--bounces", "2", "--no-denoise", "--threads", "1"]
@@ -59,6 +60,7 @@ def assert_same(ours: Path, theirs: Path) -> None:
 
 def test_frames_have_the_bits_of_one_machine_though_a_worker_is_killed(farm, scene, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(parts, "FEWEST", 1)
+    monkeypatch.setattr(parts, "RUN", 1)
     killed = []
     original = job.Job.results
 
@@ -182,11 +184,15 @@ def test_a_scheduler_without_workers_is_one_line(scene, tmp_path, capsys, monkey
     assert f"no worker has come to the scheduler at '{where}'" in capsys.readouterr().err
 
 
-def test_a_part_on_a_worker_that_hangs_is_done_by_another(farm, monkeypatch):
+@pytest.mark.parametrize("segments", [0, 2])
+def test_a_part_on_a_worker_that_hangs_is_done_by_another(segments, farm, monkeypatch):
     monkeypatch.setattr(job, "LOOK", 0.05)
     monkeypatch.setattr(job, "FETCHED", 2)
     render = ("render", parts.SCENE, "-o", f"{parts.OUTPUT}/f.exr", "--size", "16x16", *SMALL)
-    todo = [parts.Part(f"{job.job_name()}-{k}", PING if k < 4 else render, "cornell", None) for k in range(8)]
+    todo = [
+        parts.Part(f"{job.job_name()}-{k}", PING if k < 4 else render, "cornell", None, 1.0, k % segments if segments else None)
+        for k in range(8)
+    ]
     said, done, stopped = [], {}, []
     try:
         for part, result in job.Job(farm, todo).results(said.append):
@@ -205,6 +211,14 @@ def test_a_command_line_runs_in_a_folder_of_its_own(farm):
     assert list(farm.submit(do_part, part, versions(), key=part.key).result()["files"]) == ["small.exr"]
 
 
+def test_blender_has_the_users_environment_not_dasks():
+    given = dask.config.get("distributed.nanny.pre-spawn-environ")
+    assert "MALLOC_TRIM_THRESHOLD_" in given
+    dasks = {name: str(value) for name, value in given.items()}
+    assert own_environment({**dasks, "HOME": "/home/me"}) == {"HOME": "/home/me"}
+    assert own_environment({**dasks, "OMP_NUM_THREADS": "7"}) == {"OMP_NUM_THREADS": "7"}
+
+
 def test_no_scene_of_the_workers_machine_is_opened(farm, scene):
     part = parts.Part(job.job_name(), ("render", parts.SCENE, "-o", f"{parts.OUTPUT}/f.exr"), str(scene), None)
     with pytest.raises(FarmError, match="is no sample scene, and its file was not sent"):
@@ -219,10 +233,70 @@ def test_paths_stay_under_the_root(text, tmp_path):
         command_line(parts.Part("p", ("demo",), "cornell", None), "cornell", tmp_path)
 
 
-def test_runs_of_frames():
-    assert parts.frame_parts([1, 2, 3, 7, 8], workers=1) == [(1, 2, 3), (7, 8)]
-    assert [len(run) for run in parts.frame_parts(range(1, 101), workers=2)] == [25, 25, 25, 25]
-    assert parts.frame_parts([1, 3, 5], 1, step=2) == [(1, 3, 5)]
+def lengths(segments):
+    return [[len(run) for run in runs] for runs in segments]
+
+
+def test_a_segment_for_each_worker_in_runs_without_gaps():
+    shot = range(1, 101)
+    assert parts.frame_parts([1, 2, 3, 7, 8], shot, workers=1) == [[(1, 2, 3), (7, 8)]]
+    assert lengths(parts.frame_parts(shot, shot, workers=2)) == [[9, 9, 9, 9, 9, 5], [9, 9, 9, 9, 9, 5]]
+    assert parts.frame_parts([1, 3, 5], range(1, 6, 2), 1) == [[(1, 3, 5)]]
+    assert lengths(parts.frame_parts(range(1, 21), range(1, 21), workers=50)) == [[10], [10]]
+    assert parts.frame_parts([], shot, 2) == []
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3, 7, 40])
+@pytest.mark.parametrize("wanted", [range(1, 101), [1, 2, 9, *range(40, 101)], range(50, 101)])
+def test_every_frame_is_in_one_run(workers, wanted):
+    segments = parts.frame_parts(wanted, range(1, 101), workers, handicap=3)
+    assert [number for runs in segments for run in runs for number in run] == list(wanted)
+    assert len(segments) <= workers
+    assert all(sum(map(len, runs)) >= parts.FEWEST for runs in segments)
+
+
+def test_the_segment_that_begins_the_shot_is_longer():
+    sizes = [sum(map(len, runs)) for runs in parts.frame_parts(range(1, 121), range(1, 121), 2, handicap=3)]
+    assert sizes in ([61, 59], [62, 58])
+    later = [sum(map(len, runs)) for runs in parts.frame_parts(range(61, 121), range(1, 121), 2, handicap=3)]
+    assert later == [30, 30]
+    assert parts.handicap_of(SequenceSettings(history=0)) == 0
+
+
+def test_a_worker_goes_on_with_its_segment_and_then_takes_the_end_of_the_longest():
+    rows = parts.Segments([[1, 2, 3, 4, 5, 6, 7], [11, 12]])
+    assert [rows.take("a"), rows.take("b"), rows.take("a"), rows.take("b")] == [1, 11, 2, 12]
+    assert [rows.take("b") for _ in range(2)] == [6, 7]
+    assert [rows.take("a") for _ in range(2)] == [3, 4]
+    assert rows.take("b") is None  # the last one is its owner's, who has it done as soon
+    assert (rows.take("a"), len(rows)) == (5, 0)
+    assert rows.take("a") is None
+
+
+def test_the_segment_of_a_lost_worker_is_taken_whole():
+    rows = parts.Segments([[1, 2, 3], [11]])
+    assert (rows.take("a"), rows.take("b")) == (1, 11)
+    rows.keep(["b", "c"])
+    assert [rows.take("b"), rows.take("c"), rows.take("b"), rows.take("b")] == [2, None, 3, None]
+
+
+def test_each_worker_is_given_a_segment_in_order(farm, monkeypatch):
+    asked: dict[str, list[tuple[int, int]]] = {}
+    submit = job.Job._submit
+
+    def noted(self, running, key, **options):
+        (worker,) = options["workers"]
+        asked.setdefault(worker, []).append((running.part.segment, int(key.rsplit("-", 1)[1])))
+        assert options["allow_other_workers"]  # or a lost worker's would wait for it for ever
+        submit(self, running, key, **options)
+
+    monkeypatch.setattr(job.Job, "_submit", noted)
+    todo = [parts.Part(f"{job.job_name()}-{k}", PING, "cornell", None, 1.0, k // 6) for k in range(12)]
+    assert sorted(part.key for part, _ in job.Job(farm, todo).results(print)) == sorted(part.key for part in todo)
+    assert sorted(rows[0] for rows in asked.values()) == [(0, 0), (1, 6)]
+    for worker, rows in asked.items():
+        own = [k for segment, k in rows if segment == rows[0][0]]
+        assert own == sorted(own), worker
 
 
 @pytest.mark.parametrize(

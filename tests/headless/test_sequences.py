@@ -1,18 +1,25 @@
 """Frames of a sequence as files: a part of them has the same bits as all, and a killed job goes on."""
 
 import json
+import os
+from unittest.mock import Mock
 
 import bpy
 import numpy as np
 import pytest
 
 from lumigate import sample_scenes
+from lumigate.core.errors import SceneError
 from lumigate.core.layers import read_exr
 from lumigate.core.reuse.sequence import alike
 from lumigate.headless import arguments
 from lumigate.headless.cli import main
+from lumigate.headless.commands import render
 from lumigate.headless.frames import View
+from lumigate.headless.keeping import KEPT
 from lumigate.headless.motion import exposures, moving_objects, only_cameras_and_lamps_move
+from lumigate.headless.sequences import ShotRenderer
+from lumigate.headless.sources import open_source
 
 SMALL = ["--size", "24x16", "--vpls", "16", "--pixel-samples", "2", "--bounces", "2", "--no-denoise", "--history", "2"]
 
@@ -59,6 +66,72 @@ def test_killed_job_goes_on_with_the_same_bits(animated, whole, tmp_path):
         ours, theirs = (read_exr(folder / f"f000{number}.exr") for folder in (tmp_path, whole))
         for name in ours:
             np.testing.assert_array_equal(ours[name], theirs[name], err_msg=f"{name} of frame {number}")
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """Scenes that are opened, and exposures that are computed without a picture, by a process that keeps its last shot."""
+    found = []
+    monkeypatch.setattr(KEPT, "on", True)
+    monkeypatch.setattr(render, "open_source", lambda source: found.append(source) or open_source(source))
+    for name in ("_scout", "_remember"):
+        original = getattr(ShotRenderer, name)
+        monkeypatch.setattr(ShotRenderer, name, lambda self, k, of=original, name=name, **o: found.append(name) or of(self, k, **o))
+    yield found
+    KEPT.drop()
+
+
+def part(scene, folder, frames, *extra):
+    """Status of a command line that renders a part into a folder."""
+    return main(["render", str(scene), "-o", str(folder / "f.exr"), "--frames", "1-6", "--part", frames, *SMALL, *extra])
+
+
+def test_a_part_that_goes_on_opens_nothing_and_has_the_same_bits(animated, whole, tmp_path, opened):
+    for number, frames in enumerate(("1-2", "3-3", "4-6")):
+        (tmp_path / f"{number}").mkdir()
+        assert part(animated, tmp_path / f"{number}", frames, "--stats", str(tmp_path / f"{number}" / "s.json")) == 0
+    assert opened == [str(animated)]
+    assert part(animated, tmp_path, "2-2") == 0  # back
+    assert opened == [str(animated), "_remember"]
+    for file in tmp_path.glob("**/*.exr"):
+        ours, theirs = read_exr(file), read_exr(whole / file.name)
+        for name in theirs:
+            np.testing.assert_array_equal(ours[name], theirs[name], err_msg=f"{name} of {file}")
+
+
+@pytest.mark.parametrize("between", ["nothing", "time", "option", "still", "bake", "failure", "interrupt", "off"])
+def test_a_shot_is_kept_for_its_own_next_part_only(between, animated, whole, tmp_path, opened, monkeypatch):
+    scene = tmp_path / "scene.blend"
+    scene.write_bytes(animated.read_bytes())
+    monkeypatch.setattr(KEPT, "on", between != "off")
+    assert part(scene, tmp_path, "1-2") == 0
+    kept = KEPT._shot
+    match between:
+        case "time":
+            os.utime(scene, ns=(1, 1))
+        case "option":
+            assert part(scene, tmp_path, "3-3", "--seed", "1") == 0
+        case "still":
+            assert main(["render", "cornell", "-o", str(tmp_path / "c.exr"), *SMALL[:-2]]) == 0
+        case "bake":
+            argv = ["--objects", "Room", "--size", "8", "--vpls", "16", "--texel-samples", "1", "--no-denoise"]
+            assert main(["bake", "cornell", "-o", str(tmp_path / "maps"), *argv]) == 0
+        case "failure" | "interrupt":
+            raised = SceneError("no") if between == "failure" else KeyboardInterrupt()
+            with monkeypatch.context() as broken:
+                broken.setattr(ShotRenderer, "frame", Mock(side_effect=raised))
+                assert part(scene, tmp_path, "3-3") == (2 if between == "failure" else 130)
+            assert KEPT._shot is None
+    opened.clear()
+    assert part(scene, tmp_path, "3-3") == 0
+    if between == "nothing":
+        assert (opened, KEPT._shot) == ([], kept)
+    else:
+        assert opened == [str(scene), "_remember", "_remember"]
+        assert KEPT._shot is None if between == "off" else KEPT._shot is not kept
+    ours, theirs = read_exr(tmp_path / "f0003.exr"), read_exr(whole / "f0003.exr")
+    for name in theirs:
+        np.testing.assert_array_equal(ours[name], theirs[name], err_msg=name)
 
 
 def test_a_part_of_a_flight_has_the_bits_of_the_whole(flown, tmp_path):
