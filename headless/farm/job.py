@@ -31,6 +31,8 @@ FETCHED = 120  # s in which a part's files come from its worker
 LOOK = 1.0  # s between two looks at what is going on
 AHEAD = 2  # parts of a segment that a worker has: the one that it does, and the next one, for which it need not wait until we ask
 TRIES = 20  # of a part whose worker is lost
+# Of workers on this machine, whose cores are there to render: each of Dask's processes would look after itself with 3 to 5 % of a core.
+CALM = {"distributed.admin.tick.interval": "500 ms", "distributed.worker.profile.enabled": False}
 GONE = "the scheduler has gone; start it again, and the job with --skip-existing"
 SLOW = 3.0  # times the usual time of a part, after which an idle worker tries it, too
 
@@ -42,6 +44,7 @@ def connected(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         # A part that outlives many workers is no fault of its own: how often it is tried, the job says.
         stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": TRIES}))
         if scheduler is None:
+            stack.enter_context(dask.config.set(CALM))
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lumigate-farm-", ignore_cleanup_errors=True))
             cluster = LocalCluster(
                 n_workers=workers or 1, threads_per_worker=1, processes=True, worker_class=FarmNanny, local_directory=folder,
