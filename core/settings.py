@@ -253,11 +253,13 @@ class SequenceSettings:
 
     history: earlier frames whose light is reprojected and averaged into a frame, 0 for independent frames.
     share: part of the rays of a picture by itself that a frame with history takes.
+    edges: how many times the primary samples and shadow rays to lamps of a picture by itself it takes: history knows nothing of those.
     motion_blur: sub-frames a frame while the shutter is open, 1 for none.
     """
 
     history: int = 7
     share: float = 0.5
+    edges: float = 1.5
     motion_blur: int = 1
 
     @property
@@ -266,14 +268,20 @@ class SequenceSettings:
         return self.share / self.motion_blur if self.history else 1.0
 
     def frame(self, settings: RenderSettings) -> RenderSettings:
-        """The request for one frame: fewer rays for what noise the frames before it take out; edges and direct light as ever."""
+        """The request for one frame: fewer rays for what noise the frames before it take out, more for edges and direct light.
+
+        Sub-frames have edges and direct light of their own, as many as ever.
+        """
         settings = settings.with_defaults()
         if not self.history or settings.time_budget is not None or settings.target_error is not None:
             return settings
-        rays = {
-            name: max(1, round(self.frame_share * n)) for name in ("samples", "gather", "reflections") if (n := getattr(settings, name)) > 0
-        }
-        return replace(settings, **rays) if settings.method == "importance-sampling" else settings
+        if settings.method != "importance-sampling":
+            return settings
+        edges = self.edges if self.motion_blur == 1 else 1.0
+        shares = dict.fromkeys(("samples", "gather", "reflections"), self.frame_share) | dict.fromkeys(
+            ("pixel_samples", "direct_samples"), edges
+        )
+        return replace(settings, **{name: max(1, round(share * n)) for name, share in shares.items() if (n := getattr(settings, name)) > 0})
 
 
 @dataclass(frozen=True)

@@ -182,6 +182,15 @@ def test_the_denoiser_counts_the_rays_that_history_stands_for(room, monkeypatch)
     assert qualities[-1] == "balanced"
 
 
+def test_a_frame_spends_on_edges_what_history_saves():
+    asked = replace(SETTINGS, pixel_samples=8, direct_samples=3)
+    whole, frame, exposure = (SequenceSettings(**kind).frame(asked) for kind in ({"history": 0}, {}, {"motion_blur": 2}))
+    assert (whole.pixel_samples, whole.direct_samples) == (8, 3)
+    assert (frame.pixel_samples, frame.direct_samples) == (12, 4)
+    assert (exposure.pixel_samples, exposure.direct_samples) == (8, 3)
+    assert exposure.samples < frame.samples < whole.samples
+
+
 def test_reprojection_follows_a_moving_object(room):
     shift = np.array([0.5, 0, 0])
     before, now = estimates([room, moved_block(room, shift)], lambda p, s: p)
