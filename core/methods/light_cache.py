@@ -25,7 +25,7 @@ DEPTH = 2  # probes a path: seen from the visible points, and from there
 PROBES_A_CELL = 2  # of the finest cells, on average
 LEVELS = 4  # cells of 1, 3, 9 and 27 sizes: the coarser ones answer where the finer ones know little
 GROWTH = 3.0
-PRIOR = 2.0  # a coarser cell counts as this many probes of the finer one
+PRIOR = 0.25  # a coarser cell counts as at most this many probes of the finer one: it may lie across the edge of a shadow
 LATER = np.float32(0.2)  # weight of probes that no visible point has met itself
 NEAR = 2.0  # cells: surfaces nearer than this are not looked up but followed on
 BALANCE = np.float32(50.0)  # probes of mean brightness that the balance of the whole view counts for in each place
@@ -34,7 +34,7 @@ GUIDES = 4  # every so-manyth path tells how bright cells are
 GUIDE_PRIOR = 4.0
 # A cell never counts as dimmer than this part of what it gives to gather rays.  Where the guides missed what the other probes
 # found, gather rays would carry rare bright light: sparks, and light that coarse cells smear over edges.
-LEAST_BRIGHT = np.float32(0.25)
+LEAST_BRIGHT = np.float32(0.125)
 MOST_TURNS = 8  # of glossy reflections in the cache
 CHUNK = 16384  # probes a chunk
 FEW_PROBES = 16384  # which tell about the size of the cells
