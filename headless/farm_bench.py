@@ -27,7 +27,7 @@ from .frames_bench import animate
 from .sequences import Shot, ShotRenderer
 
 TASKS = 1000
-SIZE, FRAMES = (320, 180), 120  # a shot of 5 s: what each worker computes before its first frame is not most of the work
+SIZE, FRAMES = (320, 180), 240  # a shot of 10 s: what each worker computes before its first frame is not most of the work
 KILLED_EACH = 10.0  # s, in the run whose workers are killed
 # Of that run: parts, and what comes before the first of a segment, that take less time than a worker lives, its start and Blender's in it.
 SMALL, SMALL_FRAMES, SMALL_OPTIONS = (64, 36), 240, ("--history", "1", "--vpls", "512", "--pixel-samples", "4")

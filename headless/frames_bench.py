@@ -41,7 +41,7 @@ SIZE, FRAMES, REFERENCE_SAMPLES = (320, 180), 60, 512
 LAYERS = ("Indirect", "Combined")
 MOVES = ("camera", "lamp", "object")
 MOST_SAMPLES = 512
-EQUAL_FRAMES, EQUAL_SAMPLES = 6, (1, 4, 16, 64)  # of relMSE, and of Cycles' curve of time against it
+EQUAL_FRAMES, EQUAL_SAMPLES = 6, (1, 4, 16, 64, 256)  # of relMSE, and of Cycles' curve of time against it
 CLOSER = 10  # times as many samples has the reference of these frames: in noise, weights by its square overrate what is darker by chance
 
 
