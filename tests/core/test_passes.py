@@ -94,7 +94,7 @@ def test_only_what_the_wanted_layers_need_is_computed(sphere):
 
 def test_light_whose_error_is_met_is_not_denoised(sphere):
     """All of the sphere sends the same light, and many rays leave next to no noise in it."""
-    settings = RenderSettings(method="importance-sampling", target_error=0.01, samples=64, gather=64, layers=("DiffuseIndirect",))
+    settings = RenderSettings(method="importance-sampling", target_error=0.01, samples=128, gather=128, layers=("DiffuseIndirect",))
     met = render(sphere, settings)
     noisy = render(sphere, replace(settings, samples=1, gather=1))
     assert [line["reason"][:27] for line in met.stats["skipped"] if line["stage"] == "denoise"] == ["the indirect light's relMSE"]
