@@ -2,7 +2,8 @@
 
 A denoiser run on every group would cost more than the light does.  Here it sees the brightness of three groups at once, as the
 channels of one picture, without their colours, which vary little from pixel to pixel: a group's colour is the mean of a window.
-What a group has of the sum of all groups is its share of the denoised whole.
+What a group has of the sum of all groups is its share of the denoised whole, but for a factor a channel that keeps its energy: a faint
+group beside a bright one would gain some per cent otherwise.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from .denoise import Denoiser
 
 WINDOW = 15  # pixels along the square whose mean is a group's colour
 DARKEST = np.float32(0.02)  # albedo that light is divided by, at least
+ROUNDS = 2  # of proportional fitting to the groups' energy: a faint group is off by less than .1 % then
 FAINT = 1e-3  # of a group's mean light: what is darker has the colour of the whole group
 _TINY = np.float32(1e-30)
 
@@ -44,10 +46,22 @@ def shares_of(
     for first in range(0, len(lit), 3):
         bright[first : first + 3] = _three_denoised(bright[first : first + 3], albedo, normal, position, denoiser, threads)
     share[lit] = (size * bright)[..., None] * _colors(light)
+    energy = parts.mean(axis=(1, 2), dtype=np.float64)
+    energy *= clean.mean(axis=(0, 1)) / np.maximum(energy.sum(axis=0), _TINY)
+    for _ in range(ROUNDS):
+        share = _adding_up(share, lit[0]) * clean
+        found = share.mean(axis=(1, 2), dtype=np.float64)
+        factor = np.divide(energy, found, out=np.ones_like(energy), where=found > 0)
+        share *= factor[:, None, None].astype(np.float32)
+    return _adding_up(share, lit[0]) * clean
+
+
+def _adding_up(share: np.ndarray, rest: int) -> np.ndarray:
+    """Shares (G, H, W, 3) that add up to 1; rest: who has all where nobody has any, for the denoiser of the whole may put light there."""
     total = share.sum(axis=0)
-    share = np.divide(share, total, out=share, where=total > 0)
-    share[lit[0]] += total <= 0  # the denoiser of the whole may put light where there was none
-    return share * clean
+    share = np.divide(share, total, out=np.zeros_like(share), where=total > 0)
+    share[rest] += total <= 0
+    return share
 
 
 def _three_denoised(bright: np.ndarray, albedo, normal, position, denoiser: Denoiser, threads: int) -> np.ndarray:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .denoise import Denoiser
+from .denoise import QUALITIES, Denoiser
 from .metrics import FLOOR
 from .picture import Picture
 from .settings import RenderSettings
@@ -96,9 +96,13 @@ class Passes:
         return clean.indirect.astype(np.float64)
 
 
-def denoising_quality(settings: RenderSettings, weight: float) -> str:
-    """What OIDN is to spend on a picture of passes of so much weight: in a quick one more of its time is better spent on rays."""
+def denoising_quality(settings: RenderSettings, weight: float, least: str = "fast") -> str:
+    """What OIDN is to spend on a picture of passes of so much weight: in a quick one more of its time is better spent on rays.
+
+    least: what it spends at least, but for a method whose light has no noise.
+    """
     if settings.smooth:
         return "fast"
     rays = weight * (settings.samples + settings.gather) if settings.method == "importance-sampling" else MANY_RAYS
-    return "fast" if rays < MANY_RAYS else "balanced" if rays <= MANY_RAYS else "high"
+    quality = "fast" if rays < MANY_RAYS else "balanced" if rays <= MANY_RAYS else "high"
+    return max(quality, least, key=QUALITIES.__getitem__)

@@ -166,6 +166,11 @@ class Sequence:
         return self._probes.trace(self.number, tables, points, paths, seed, threads, progress)
 
     @property
+    def resting(self) -> bool:
+        """Whether the camera stands where it stood: so it does in the first frame, as far as that can know."""
+        return not self.changes.camera or self.number == 0
+
+    @property
     def first_turns(self) -> list[int]:
         """Turns that the first frame computes beside its own, so that it has as many samples as all later ones, and nothing settles."""
         return list(range(1, self.window + 1)) if self.number == 0 else []

@@ -117,7 +117,8 @@ def test_smooth_light_is_left_to_its_method():
 def test_the_denoiser_works_the_longer_the_more_rays_there_were():
     settings = RenderSettings(method="importance-sampling").with_defaults()  # the default is balanced, whatever its numbers
     assert [denoising_quality(settings, weight) for weight in (0.25, 1, 4)] == ["fast", "balanced", "high"]
-    assert denoising_quality(replace(settings, method="fuzzy-clustering"), 4) == "fast"
+    assert [denoising_quality(settings, weight, least="balanced") for weight in (0.25, 4)] == ["balanced", "high"]
+    assert denoising_quality(replace(settings, method="fuzzy-clustering"), 4, least="high") == "fast"
     assert denoising_quality(replace(settings, method="instant-radiosity"), 1) == "balanced"
 
 
