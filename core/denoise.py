@@ -294,6 +294,23 @@ def _finite_neighbours(color: np.ndarray) -> np.ndarray:
     return fixed
 
 
+def pull_push(image: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """`image` (H, W, 3) with holes where `known` (H, W) is False filled from around them, coarsely where they are wide; zero if nothing is known.
+
+    Gortler, Grzeszczuk, Szeliski & Cohen 1996, The Lumigraph, Section 3.4.
+    """
+    if known.all() or not known.any():
+        return image
+    height, width = known.shape
+    pad = (0, height % 2), (0, width % 2)
+    weight = np.pad(known, pad).astype(np.float32)[..., None]
+    image = np.pad(image, (*pad, (0, 0))) * weight
+    total, count = (part[0::2, 0::2] + part[1::2, 0::2] + part[0::2, 1::2] + part[1::2, 1::2] for part in (image, weight))
+    coarse = pull_push(total / np.maximum(count, np.float32(1)), count[..., 0] > 0)
+    around = coarse.repeat(2, axis=0).repeat(2, axis=1)
+    return np.where(weight > 0, image, around)[:height, :width]
+
+
 @kernel
 def _blur_rows(light, normal, position, albedo, step, begin, end, out):
     """One a-trous pass over the rows begin..end: 5x5 taps `step` pixels apart, weighted by how alike the surfaces are."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .denoise import Denoiser, mean_factor
+from .denoise import Denoiser, mean_factor, pull_push
 from .group_shares import shares_of
 from .lamps import LightGroups
 from .layers import GROUP_LAYERS, Layers
@@ -19,10 +19,11 @@ from .view.primary import View
 MIRRORED, MIRRORED_PIXELS = 0.1, 0.01  # albedo in a mirror that a denoiser goes by, and the least share of the pixels
 MOSTLY_MIRRORED = 0.04  # share of the pixels from which on a quick picture's guide is worth a denoising, too
 MARGIN = 16  # pixels around what is denoised of a picture, which a denoiser sees, too
+LEAST_FORESEEN = np.float32(1e-6)  # of its mean: what is darker has no light to be told from noise
 QUICKER = {"high": "balanced", "balanced": "fast"}  # of OIDN's qualities, for layers that gain little by the better one
 LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
 # What passes average; position and depth are the first one's.
-_MEANS = (*LIGHT, "albedo", "normal", "guide_albedo", "guide_normal")
+_MEANS = (*LIGHT, "albedo", "normal", "guide_albedo", "guide_normal", "foreseen")
 
 
 class GroupLight(NamedTuple):
@@ -60,7 +61,7 @@ class Picture:
     """Light and guides of a view, (H, W, 3) float32 each but for depth (H, W).
 
     direct, diffuse_indirect, glossy_indirect, emission: radiance (W/m^2/sr).  guide_albedo, guide_normal: tell a denoiser
-    where edges are.  weight: how many samples it stands for, on any scale.  triangle: (H, W) int32, of `position`, where it is asked for.
+    where edges are.  foreseen: what diffuse indirect light would be in proportion to if nothing cast shadows, without noise.  weight: how many samples it stands for, on any scale.  triangle: (H, W) int32, of `position`, where it is asked for.
     smooth: the diffuse indirect light comes from a method without noise, and is left as it is by `denoised`.
     alpha: (H, W) float32, the part of each pixel that is not the world, None where the film is opaque.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
@@ -74,6 +75,7 @@ class Picture:
     normal: np.ndarray
     guide_albedo: np.ndarray
     guide_normal: np.ndarray
+    foreseen: np.ndarray
     position: np.ndarray
     depth: np.ndarray
     weight: float = 1.0
@@ -85,11 +87,12 @@ class Picture:
     @staticmethod
     def compose(
         seen: View, direct: np.ndarray, indirect: np.ndarray, glossy_direct: np.ndarray, glossy_indirect: np.ndarray,
-        mirrored_albedo: np.ndarray, weight: float = 1.0, groups: LightGroups | None = None,
+        mirrored_albedo: np.ndarray, weight: float = 1.0, groups: LightGroups | None = None, foreseen: np.ndarray | None = None,
     ) -> Picture:  # fmt: skip
         """The picture of irradiances and glossy radiances (N, 3 G) at the shading points.
 
         mirrored_albedo: (N, 3), of what mirrors show, for the denoiser.  groups: the G light groups, None for none.
+        foreseen: (N,) irradiance, None for the same everywhere.
         """
         columns = [np.s_[:, 3 * k : 3 * k + 3] for k in range(len(seen.emitted))]
         parts = [
@@ -98,12 +101,16 @@ class Picture:
         ]
         whole = parts[0] if len(parts) == 1 else GroupLight(*(sum(layers) for layers in zip(*parts)))
         guide_albedo, guide_normal = denoising_guides(seen)
+        expected = seen.points.albedo * (seen.points.behind_glass == 0)[:, None]
+        if foreseen is not None:
+            expected *= foreseen[:, None]
         return Picture(
             **whole._asdict(),
             albedo=seen.albedo,
             normal=seen.normal,
             guide_albedo=guide_albedo + splat(seen.points, mirrored_albedo, seen.shape),
             guide_normal=guide_normal,
+            foreseen=splat(seen.points, expected, seen.shape),
             position=seen.position,
             depth=seen.depth,
             weight=weight,
@@ -142,7 +149,7 @@ class Picture:
         """
 
         def cleaned(
-            image: np.ndarray, guide: np.ndarray, quality: str | None = quality, preserve_mean: bool = True, **options
+            image: np.ndarray, guide: np.ndarray | None, quality: str | None = quality, preserve_mean: bool = True, **options
         ) -> np.ndarray:
             return denoiser.denoise(
                 image, guide, self.guide_normal, position=self.position, quality=quality, threads=threads, preserve_mean=preserve_mean,
@@ -151,7 +158,7 @@ class Picture:
 
         found = {}
         if indirect and self.diffuse_indirect.any() and not self.smooth:
-            found["diffuse_indirect"] = self._diffuse_cleaned(denoiser, cleaned)
+            found["diffuse_indirect"] = self._diffuse_cleaned(cleaned)
         if indirect and self.glossy_indirect.any():
             guide, clean = self._mirrored_guide(denoiser, threads, quality)
             found["glossy_indirect"] = cleaned(self.glossy_indirect, guide, clean_aux=clean)
@@ -174,17 +181,25 @@ class Picture:
         )
         return guide, True
 
-    def _diffuse_cleaned(self, denoiser: Denoiser, cleaned: Callable[..., np.ndarray]) -> np.ndarray:
-        """The diffuse indirect light without noise: a blur keeps textures only where it is free of albedo."""
-        if denoiser.available:
-            return cleaned(self.diffuse_indirect, self.albedo, clean_aux=True) * (self.albedo > 0)
-        diffuse = (
-            np.where(self.albedo > 0, cleaned(self.irradiance, self.albedo, preserve_mean=False), np.float32(0))
-            * self.albedo
-            * np.float32(1 / np.pi)
-        )
-        # What counts is the mean of the picture, not of the irradiance.
-        return mean_factor(self.diffuse_indirect, diffuse) * diffuse
+    def _diffuse_cleaned(self, cleaned: Callable[..., np.ndarray]) -> np.ndarray:
+        """The diffuse indirect light without noise.
+
+        The denoiser is given its ratio to what is foreseen, without holes where nothing is, so that it need not find the edges of
+        textures and surfaces.
+        """
+        least = LEAST_FORESEEN * self.foreseen.mean()
+        known = self.foreseen.max(axis=2) > least
+        if not known.any():
+            return np.zeros_like(self.diffuse_indirect)
+        light, foreseen = self.diffuse_indirect[known], self.foreseen[known]
+        grey = light.sum(axis=1, keepdims=True) / foreseen.sum(axis=1, keepdims=True)
+        ratio = np.divide(light, foreseen, out=grey.repeat(3, axis=1), where=foreseen > least)
+        scale = np.float32(2) * max(ratio.mean(), np.float32(1e-30))
+        image = np.zeros_like(self.foreseen)
+        image[known] = ratio / scale
+        clean = cleaned(pull_push(image, known), None, preserve_mean=False) * self.foreseen * scale
+        # What counts is the mean of the picture, not of the ratio.
+        return mean_factor(self.diffuse_indirect, clean) * clean
 
     def shared_out(self, denoiser: Denoiser, threads: int) -> Picture:
         """With the groups' light as free of noise as the whole, which they add up to still.

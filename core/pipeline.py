@@ -329,10 +329,13 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
             light = direct_stage(run, scene, tables, points, settings, threads, tick)
     if wants_glossy:
         mirrored = glossy_stage(run, tables, points, settings, threads, sampler)
-    indirect = nothing
+    indirect, foreseen = nothing, None
     if wants_indirect:
         indirect, vpls = indirect_stage(run, tables, points, seen.shape[1], settings, threads, sampler)
         run.vpls += len(vpls.bounce)
+        if sampler and settings.denoise:
+            with run.stage("indirect"):
+                foreseen = sampler.foreseen(points, seen.shape)
         if settings.debug_layers and not run.debug:
             run.debug = single_lights(tables, vpls, points, seen.shape, threads)
             if run.clusters is not None:
@@ -341,7 +344,7 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
     smooth = settings.smooth and not light.irradiance_by_glass.any()
     picture = Picture.compose(
         seen, light.irradiance, indirect + light.irradiance_by_glass, light.glossy + mirrored.direct,
-        light.glossy_by_glass + mirrored.indirect, mirrored.albedo, weight, run.groups,
+        light.glossy_by_glass + mirrored.indirect, mirrored.albedo, weight, run.groups, foreseen,
     )  # fmt: skip
     alpha = np.float32(1) - seen.clear if settings.film.transparent else None
     return replace(picture, smooth=smooth, alpha=alpha, triangle=nearest_triangles(seen) if run.sequence else None)

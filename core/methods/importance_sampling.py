@@ -51,6 +51,7 @@ from ..threads import Progress, part, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints, shares
 from ..vpl_pool import BATCH_SEED, Particles, vpl_pool
+from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
 from .light_cache import DEPTH, NEAR, LightCache, add_known, build_light_cache, find_cell, look_up
@@ -59,7 +60,6 @@ from .tails import path_light
 
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
-BLOCK = 16  # of them, summed together
 KEPT = 4  # times the lights asked for stay in the pool: a point looks at one subset, and all points at more lights
 WHOLE = 2.0  # points that are half of what their pixel shows, or more, get all rays
 PICKS = 8  # of a subset: more of them go to further subsets
@@ -67,7 +67,6 @@ PATHS = 0.16  # of the cache a point, times the root of its rays: what they find
 MIN_PATHS = 20000
 PATHS_A_POINT = 64  # at most: a view of a few points does not need as many
 BATCHES = 4  # of particles: those whose light gather rays carry need not be many
-LARGE = np.float32(1e4)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _INV_PI = np.float32(1.0 / np.pi)
@@ -188,28 +187,8 @@ def _gathered(
 
 
 @leaf
-def _light_up(lights, chosen, px, py, pz, nx, ny, nz, gx, gy, gz, g_max, f, blocks):
-    """What each light of a subset gives a point unshadowed into f (K,), its sums by blocks; the sum of all."""
-    for k in range(len(f)):
-        dx, dy, dz = lights[chosen, 0, k] - px, lights[chosen, 1, k] - py, lights[chosen, 2, k] - pz
-        r2_ = dx * dx + dy * dy + dz * dz + np.float32(1e-30)
-        # A shading normal may look at what the surface turns its back on.
-        at_point = min(nx * dx + ny * dy + nz * dz, LARGE * (gx * dx + gy * dy + gz * dz))
-        at_light = -(lights[chosen, 3, k] * dx + lights[chosen, 4, k] * dy + lights[chosen, 5, k] * dz)
-        f[k] = lights[chosen, 6, k] * min(g_max, max(_0, at_point) * max(_0, at_light) / (r2_ * r2_))
-    total = _0
-    for block in range(len(blocks)):
-        part = _0
-        for k in range(BLOCK):
-            part += f[block * BLOCK + k]
-        blocks[block] = part
-        total += part
-    return total
-
-
-@leaf
-def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, lanes, out):
-    """Traces the shadow rays of `lanes` pairs of a point and a light and adds what arrives."""
+def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, turn, lanes, out, sights):
+    """Traces the shadow rays of `lanes` pairs of a point and a light and adds what arrives; whether it does goes into `sights`."""
     for lane in range(lanes):
         k, j = owner[lane], light[lane]
         ox, oy, oz, dx, dy, dz = shadow_segment(
@@ -220,8 +199,11 @@ def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, li
         set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
     occluded_packet(scene.rays, OPAQUE, packet, lanes)
     for lane in range(lanes):
+        k, j = owner[lane], light[lane]
         if is_occluded(packet, lane):
+            sights[k, turn[lane]] = HIDDEN
             continue
+        sights[k, turn[lane]] = VISIBLE
         r = g = b = _1
         if cutouts:
             f = packet.f
@@ -230,7 +212,6 @@ def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, li
                 f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
                 f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane], _0, _1, DIFFUSE,
             )  # fmt: skip
-        k, j = owner[lane], light[lane]
         w = value[lane] * np.float32(3.0) / (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2])
         c = 3 * scene.emitters.light_group[vpls.emitter[j]]
         out[k, c] += w * r * vpls.flux[j, 0]
@@ -245,24 +226,25 @@ def looks_of(samples, subsets):
 
 
 @kernel
-def _sample_lights(scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out):
+def _sample_lights(scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out, sights, parts):
     """Adds to the points begin..end-1 the light of `counts` (N,) VPLs each, picked by what they give unshadowed; the shadow rays traced.
 
-    Each point looks at a few of the subsets of `lights` (S, 7, K), drawn by a hash.
+    Each point looks at a few of the subsets of `lights` (S, 7, K), drawn by a hash.  sights, parts: (N, R), what its rays find, and in
+    which of a subset's blocks the light lies.
     """
     size = lights.shape[2]
     owner, light, value = np.empty(WIDTH, np.int64), np.empty(WIDTH, np.int64), np.empty(WIDTH, np.float32)
     return _sample_lights_leaf(
-        scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out, new_packet(), np.zeros(SURFACE, np.float32),
+        scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out, sights, parts, new_packet(), np.zeros(SURFACE, np.float32),
         new_registers(scene.materials), np.empty(size, np.float32),
-        np.empty(size // BLOCK, np.float32), owner, light, value,
+        np.empty(size // BLOCK, np.float32), owner, light, value, np.empty(WIDTH, np.int64),
     )  # fmt: skip
 
 
 @leaf
 def _sample_lights_leaf(
-    scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out, packet, surface, rows, f, blocks,
-    owner, light, value,
+    scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out, sights, parts, packet, surface, rows, f, blocks,
+    owner, light, value, turn,
 ):  # fmt: skip
     """`_sample_lights`, its scratch given: it counts no references."""
     subsets = len(lights)
@@ -273,13 +255,13 @@ def _sample_lights_leaf(
         looks = looks_of(samples, subsets)
         key = hash_combine(hash_combine(seed, k), first)
         start = uniform(key, 0, 0, 0)
-        done = 0
+        done = traced = 0
         for look in range(looks):
             picks = (samples - done) // (looks - look)
             done += picks
             # Spread over the subsets, each of which is as likely as the others.
             chosen = np.int64((start + np.float32(look) / np.float32(looks)) * np.float32(subsets)) % subsets
-            total = _light_up(
+            total = light_up(
                 lights, chosen, points.position[k, 0], points.position[k, 1], points.position[k, 2],
                 points.ns[k, 0], points.ns[k, 1], points.ns[k, 2], points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], g_max, f, blocks,
             )  # fmt: skip
@@ -301,14 +283,16 @@ def _sample_lights_leaf(
                     inside += f[at]
                 if not f[at] > _0:
                     continue
-                owner[n], light[n], value[n] = k, chosen + at * subsets, each
+                owner[n], light[n], value[n], turn[n] = k, chosen + at * subsets, each, traced
+                parts[k, traced] = block
+                traced += 1
                 n += 1
                 rays += 1
                 if n == WIDTH:
-                    _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, n, out)
+                    _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, turn, n, out, sights)
                     n = np.int64(0)
     if n > 0:
-        _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, n, out)
+        _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, turn, n, out, sights)
     return rays
 
 
@@ -417,19 +401,29 @@ class ImportanceSampling:
         gather, samples = (np.ceil(most * np.minimum(1, WHOLE * share)).astype(np.int32) for most in (self.gather, self.samples))
         gather, samples = (np.maximum(counts, min(1, most)) for counts, most in ((gather, self.gather), (samples, self.samples)))
 
+        gathered = np.zeros(n, np.float32)
+        sights, parts = np.zeros((n, self.samples), np.uint8), np.empty((n, self.samples), np.uint8)
+
         def work(begin, end):
             rays = _gather(
                 self.scene, self.cache, points, gather, begin, end, first, self.g_max, self.near, self.bounces,
                 np.uint32(self.seed + 3), out,
             )  # fmt: skip
+            gathered[begin:end] = out[begin:end].sum(axis=1) * np.float32(1 / 3)
             if self.lights.size and self.samples:
                 rays += _sample_lights(
                     self.scene, points, self.vpls, self.lights, samples, begin, end, first, self.g_max, cutouts,
-                    np.uint32(self.seed + 4), out,
+                    np.uint32(self.seed + 4), out, sights, parts,
                 )  # fmt: skip
             return rays
 
         self.rays += sum(run_chunks(work, n, CHUNK, self.threads, progress))
+        self.found = sights, parts, gathered
         looks = np.minimum(np.maximum(1, samples // PICKS), len(self.lights))
         self.pairs += int(looks.sum()) * self.lights.shape[2]
         return out
+
+    def foreseen(self, points: ShadingPoints, shape: tuple[int, int]) -> np.ndarray:
+        """About what `irradiance` has just found of the points of a picture of `shape`, (N,) without noise: see the module `foreseen`."""
+        self.pairs += len(points.pixel) * self.lights.shape[2]
+        return foreseen(points, shape, self.lights, self.g_max, *self.found, self.threads)

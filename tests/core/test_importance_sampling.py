@@ -51,6 +51,25 @@ def path_traced(room):
     return solver.irradiance(points)
 
 
+def test_what_is_foreseen_is_nearer_the_light_than_what_few_rays_find(room, path_traced):
+    # Relative to the mean: .066, of the rays .18, and all that differs from place to place is .12.
+    _, points = room
+    found, solver = estimate(room, 20000, 2, 2, 1)
+    truth = path_traced.mean(axis=1)
+    foreseen = solver.foreseen(points, (24, 24))
+    assert foreseen.dtype == np.float32 and foreseen.shape == truth.shape and (foreseen > 0).all()
+    errors = [np.std(one / one.mean() - truth / truth.mean()) for one in (foreseen, found.mean(axis=1), np.ones_like(truth))]
+    assert errors[0] < 0.5 * errors[1] and errors[0] < 0.7 * errors[2]
+
+
+def test_what_is_foreseen_is_the_same_for_any_number_of_threads(room):
+    _, points = room
+    _, solver = estimate(room, 2000, 2, 2, 1)
+    first = solver.foreseen(points, (24, 24))
+    solver.threads = 1
+    np.testing.assert_array_equal(solver.foreseen(points, (24, 24)), first)
+
+
 def test_lights_and_gather_rays_share_the_light(room, path_traced):
     # Each share for itself is far from the whole; together they have the energy of paths.
     pictures = [estimate(room, 40000, 16, 16, seed)[0].mean() for seed in range(4)]

@@ -20,7 +20,7 @@ MACHINE = Machine(ray=1e-6, denoiser=0.01, denoiser_pixel=1e-6, threads=2)
 def picture(indirect, weight=1.0):
     """A picture of diffuse indirect light alone."""
     zero, one = np.zeros_like(indirect), np.ones_like(indirect)
-    return Picture(zero, indirect, zero, one, zero, one, one, one, zero, zero[..., 0], weight)
+    return Picture(zero, indirect, zero, one, zero, one, one, one, one, zero, zero[..., 0], weight)
 
 
 def noisy(variance, seed):
