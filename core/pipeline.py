@@ -219,7 +219,7 @@ def _planner(run: Run, settings: RenderSettings, pixels: int, threads: int) -> P
         machine, measured = cached_machine(threads)
         if measured:  # once a machine: apart from the render, as compilation is
             run.seconds["calibration"] = time.perf_counter() - begin
-    images = 3 if settings.wants("Direct", "Combined") else 2
+    images = 4 if settings.wants("Direct", "Combined") else 3  # diffuse indirect light is denoised twice
     if run.groups:  # direct and indirect light of three groups are two images, denoised in half the time
         images += -(-len(run.groups.names) // 3)
     return Planner(settings, pixels, machine, images=images, cold=settings.method not in LOADED)

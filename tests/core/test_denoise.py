@@ -83,6 +83,14 @@ def test_no_light_bleeds_where_surfaces_or_colours_end(denoiser):
     assert ((clean[lit] / true[lit] - 1) ** 2).mean() < 0.105**2  # measured: .088; as radiance with the albedo for a guide .124
 
 
+def test_one_bad_pixel_does_not_spoil_the_picture(denoiser):
+    none, one = np.zeros((20, 30, 3), np.float32), np.ones((20, 30, 3), np.float32)
+    raw = one.copy()
+    raw[7, 9] = np.nan, np.inf, 1
+    clean = Picture(none, raw, none, one, none, one, one, one, one, none, none[..., 0]).denoised(denoiser, 2).diffuse_indirect
+    np.testing.assert_allclose(clean, 1, atol=0.05)
+
+
 def test_black_pictures_stay_black(denoiser):
     none = np.zeros((20, 30, 3), np.float32)
     noisy = Picture(none, none + 1, none, none, none, none, none, none, none, none, none[..., 0])

@@ -161,7 +161,7 @@ def test_what_mirrors_show_guides_reflections_alone(rows, quality, clean, filter
     recorder = Recorder()
     picture = mirrored(rows, 10)
     picture.denoised(recorder, 1, quality=quality)
-    (diffuse, _, _), (glossy, told, _), (direct, _, _) = recorder.guides
-    assert diffuse is None and np.array_equal(direct, picture.albedo)  # diffuse light comes without its albedo
+    (ratio, _, _), (diffuse, _, _), (glossy, told, _), (direct, _, _) = recorder.guides
+    assert ratio is None and np.array_equal(diffuse, picture.albedo) and np.array_equal(direct, picture.albedo)
     assert told == clean and recorder.filtered == filtered
     assert np.array_equal(glossy, picture.albedo if filtered else picture.guide_albedo)
