@@ -15,7 +15,7 @@ from .denoise import Denoiser
 
 WINDOW = 15  # pixels along the square whose mean is a group's colour
 DARKEST = np.float32(0.02)  # albedo that light is divided by, at least
-ROUNDS = 2  # of proportional fitting to the groups' energy: a faint group is off by less than .1 % then
+ROUNDS = 2  # of proportional fitting to the groups' energy
 FAINT = 1e-3  # of a group's mean light: what is darker has the colour of the whole group
 _TINY = np.float32(1e-30)
 

@@ -61,7 +61,8 @@ class Picture:
     """Light and guides of a view, (H, W, 3) float32 each but for depth (H, W).
 
     direct, diffuse_indirect, glossy_indirect, emission: radiance (W/m^2/sr).  guide_albedo, guide_normal: tell a denoiser
-    where edges are.  foreseen: what diffuse indirect light would be in proportion to if nothing cast shadows, without noise.  weight: how many samples it stands for, on any scale.  triangle: (H, W) int32, of `position`, where it is asked for.
+    where edges are.  foreseen: what diffuse indirect light is about in proportion to, without noise (`methods.foreseen`).
+    weight: how many samples it stands for, on any scale.  triangle: (H, W) int32, of `position`, where it is asked for.
     smooth: the diffuse indirect light comes from a method without noise, and is left as it is by `denoised`.
     alpha: (H, W) float32, the part of each pixel that is not the world, None where the film is opaque.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
