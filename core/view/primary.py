@@ -467,7 +467,7 @@ def view(
     height, width = y1 - y0, x1 - x0
     layers = np.zeros((height * width, EMITTED + 3 * GLASS * len(groups.names)), np.float32)
     tiles = -(-width // TILE) * -(-height // TILE)
-    chunk = 16
+    chunk = 64
     g = scene.geometry
     geometry = (g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object, groups.objects)
     lamps = visible_lamps(scene, groups)
