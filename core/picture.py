@@ -63,7 +63,7 @@ class Picture:
     direct, diffuse_indirect, glossy_indirect, emission: radiance (W/m^2/sr).  guide_albedo, guide_normal: tell a denoiser
     where edges are.  foreseen: what diffuse indirect light is about in proportion to, without noise (`methods.foreseen`).
     weight: how many samples it stands for, on any scale.  triangle: (H, W) int32, of `position`, where it is asked for.
-    smooth: the diffuse indirect light comes from a method without noise, and is left as it is by `denoised`.
+    smooth: what of the diffuse indirect light comes from a method without noise, and is left as it is by `denoised`; None for nothing.
     alpha: (H, W) float32, the part of each pixel that is not the world, None where the film is opaque.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
     """
@@ -81,7 +81,7 @@ class Picture:
     depth: np.ndarray
     weight: float = 1.0
     triangle: np.ndarray | None = None
-    smooth: bool = False
+    smooth: np.ndarray | None = None
     alpha: np.ndarray | None = None
     groups: dict[str, GroupLight] = field(default_factory=dict)
 
@@ -126,8 +126,9 @@ class Picture:
             name: GroupLight(*(a * mine + b * its for mine, its in zip(light, other.groups[name]))) for name, light in self.groups.items()
         }
         means = {name: a * getattr(self, name) + b * getattr(other, name) for name in _MEANS}
-        if self.alpha is not None:
-            means["alpha"] = a * self.alpha + b * other.alpha
+        for name in ("alpha", "smooth"):
+            if getattr(self, name) is not None:
+                means[name] = a * getattr(self, name) + b * getattr(other, name)
         return replace(self, weight=whole, groups=groups, **means)
 
     @property
@@ -158,7 +159,11 @@ class Picture:
             )  # fmt: skip
 
         found = {}
-        if indirect and self.diffuse_indirect.any() and not self.smooth:
+        if indirect and self.smooth is not None:
+            noisy = self.diffuse_indirect - self.smooth
+            if noisy.any():
+                found["diffuse_indirect"] = self.smooth + cleaned(noisy, self.albedo, clean_aux=True)
+        elif indirect and self.diffuse_indirect.any():
             found["diffuse_indirect"] = self._diffuse_cleaned(denoiser, cleaned)
         if indirect and self.glossy_indirect.any():
             guide, clean = self._mirrored_guide(denoiser, threads, quality)

@@ -15,7 +15,7 @@ from .layers import Layers
 from .memory import check_memory
 from .methods.glossy import Reflections
 from .passes import Passes, denoising_quality
-from .picture import Picture, nearest_triangles
+from .picture import Picture, nearest_triangles, splat
 from .planning.machine import cached_machine
 from .planning.planner import Planner, reduced
 from .reuse import Sequence
@@ -333,7 +333,7 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
     if wants_indirect:
         indirect, vpls = indirect_stage(run, tables, points, seen.shape[1], settings, threads, sampler)
         run.vpls += len(vpls.bounce)
-        if sampler and settings.denoise:
+        if sampler and settings.method == "importance-sampling" and settings.denoise:
             with run.stage("indirect"):
                 foreseen = sampler.foreseen(points, seen.shape)
         if settings.debug_layers and not run.debug:
@@ -341,10 +341,12 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
             if run.clusters is not None:
                 run.debug |= run.clusters.debug_layers(points, seen.shape)
     LOADED.add(settings.method)
-    smooth = settings.smooth and not light.irradiance_by_glass.any()
     picture = Picture.compose(
         seen, light.irradiance, indirect + light.irradiance_by_glass, light.glossy + mirrored.direct,
         light.glossy_by_glass + mirrored.indirect, mirrored.albedo, weight, run.groups, foreseen,
     )  # fmt: skip
+    smooth = None
+    if settings.smooth:
+        smooth = splat(points, points.albedo * np.float32(1 / np.pi) * indirect * (points.behind_glass == 0)[:, None], seen.shape)
     alpha = np.float32(1) - seen.clear if settings.film.transparent else None
     return replace(picture, smooth=smooth, alpha=alpha, triangle=nearest_triangles(seen) if run.sequence else None)

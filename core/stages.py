@@ -17,7 +17,7 @@ from .lamps import DirectLight, Emitters, LightGroups, build_emitters, direct_li
 from .methods.area_shadows import area_lamps, direct_by_soft_maps
 from .methods.fuzzy_clustering import FuzzyClustering
 from .methods.glossy import Reflections, has_lobes, reflect
-from .methods.importance_sampling import ImportanceSampling
+from .methods.importance_sampling import ImportanceSampling, cache_paths
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
 from .methods.probes import trace_probes
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
@@ -42,7 +42,8 @@ StageProgress = Callable[[str, float], bool]
 AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "virtual-area-lights", "visibility-gates", "importance-sampling")
 TURN = 32452843  # between the seeds of a sequence's turns
 FEW_BATCHES = 4  # of particles, for lights that are clustered: more of them cost time and leave the picture as it is
-CLUSTER_GATHER = 4  # gather rays of a cluster, for each that a point would get: its many points share what they find
+CLUSTER_GATHER = 2  # gather rays of a cluster, for each that a point would get: its many points share what they find
+SMALL_CACHE = 0.5  # times the paths of the accurate method's smallest cache of light are a preview's
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
 # What only a render can count.
 LEFT_OUT = {
@@ -218,8 +219,9 @@ def direct_stage(
 
 
 def cache_stage(run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> ImportanceSampling | None:
-    """The accurate method with its cache of light filled, which reflections use, too."""
-    if settings.method != "importance-sampling" or settings.bounces < 1 or not tables.emitters.flux.any():
+    """The accurate method with its cache of light filled, which reflections use, too; of other methods only previews take a small one."""
+    accurate = settings.method == "importance-sampling"
+    if not (accurate or settings.method == "fuzzy-clustering") or settings.bounces < 1 or not tables.emitters.flux.any():
         return None
     if not points.albedo.any() and not has_lobes(points):
         return None
@@ -227,8 +229,9 @@ def cache_stage(run: Run, tables: Transport, points: ShadingPoints, settings: Re
         sampler = ImportanceSampling(
             samples=settings.samples, gather=settings.gather, bounces=settings.bounces, seed=settings.seed, threads=threads
         )
-        tracer = run.sequence.probes if run.in_turn(settings) else trace_probes
-        run.rays["light"] += sampler.cache_light(tables, points, tick, tracer=tracer)
+        tracer = run.sequence.probes if accurate and run.in_turn(settings) else trace_probes
+        paths = None if accurate else int(SMALL_CACHE * cache_paths(len(points.pixel), 2))
+        run.rays["light"] += sampler.cache_light(tables, points, tick, paths=paths, tracer=tracer)
     return sampler
 
 
@@ -267,8 +270,9 @@ def indirect_stage(
     if not points.albedo.any():
         run.skip("vpls", "every visible albedo is black")
         return nothing, Vpls.allocate(0)
+    accurate = sampler if settings.method == "importance-sampling" else None
     with run.stage("vpls") as tick:
-        if sampler:
+        if accurate:
             particles = run.sequence.particles if run.sequence else trace_particles
             turn = run.turn if run.in_turn(settings) else None
             vpls, counts = sampler.prepare(tables, points, settings.vpls, tick, particles=particles, turn=turn)
@@ -288,18 +292,18 @@ def indirect_stage(
         run.leave_out("vpls", counts["useless"], counts["traced"])
         if counts["useless"]:
             run.skip("vpls", f"{counts['useless']} of {counts['traced']} VPLs lie behind every visible point")
-    if len(vpls.bounce) == 0 and sampler is None:
+    if len(vpls.bounce) == 0 and not accurate:
         run.skip("vpls", "no lamp's light reaches a surface")
         return nothing, Vpls.allocate(0)
     with run.stage("indirect") as tick:
-        if sampler:
+        if accurate:
             irradiance = sampler.irradiance(
                 points, tick, first=run.turn * max(settings.samples, settings.gather), by_share=width is not None and settings.skipping
             )
             run.rays["shadow"] += sampler.rays
             run.pairs += sampler.pairs
             return irradiance, vpls
-        solver = _solver(run, settings, width, threads)
+        solver = _solver(run, settings, width, threads, sampler)
         solver.prepare(tables, vpls, points)
         irradiance = solver.irradiance(points, tick)
         run.rays["shadow"] += solver.rays
@@ -307,7 +311,7 @@ def indirect_stage(
     return irradiance, vpls
 
 
-def _solver(run: Run, settings: RenderSettings, width: int | None, threads: int):
+def _solver(run: Run, settings: RenderSettings, width: int | None, threads: int, sampler: ImportanceSampling | None):
     """What lights points by VPLs in every method but the accurate one; `run` keeps those whose clusters can be shown."""
     common = {"bounces": settings.bounces, "seed": settings.seed, "threads": threads}
     compensation = settings.gather if settings.compensation else 0
@@ -319,6 +323,7 @@ def _solver(run: Run, settings: RenderSettings, width: int | None, threads: int)
             weighting=settings.weighting,
             shade_with=settings.shade_with,
             compensation=CLUSTER_GATHER * compensation,
+            cache=sampler.cache if sampler else None,
             **common,
         )
         return run.clusters

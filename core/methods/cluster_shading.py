@@ -75,6 +75,20 @@ def _drawn_member(lights, begin, end, px, py, pz, gx, gy, gz, g_max, u):
 
 
 @kernel
+def _light_at(lights, m, places, g_max, out):
+    """What light m gives to N points unshadowed, without the factor 1 / pi; places: (6, N), positions and normals."""
+    x, y, z = lights.vpls.position[m, 0], lights.vpls.position[m, 1], lights.vpls.position[m, 2]
+    nx, ny, nz = lights.vpls.normal[m, 0], lights.vpls.normal[m, 1], lights.vpls.normal[m, 2]
+    px, py, pz, gx, gy, gz = places[0], places[1], places[2], places[3], places[4], places[5]
+    power = lights.power[m]
+    for n in range(len(out)):
+        dx, dy, dz = x - px[n], y - py[n], z - pz[n]
+        r2 = dx * dx + dy * dy + dz * dz + _TINY
+        facing = max(gx[n] * dx + gy[n] * dy + gz[n] * dz, _0) * max(-(nx * dx + ny * dy + nz * dz), _0)
+        out[n] = power * min(facing / (r2 * r2), g_max)
+
+
+@kernel
 def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_max, cutouts, seed, visible, seen):
     """Shadow rays from the points begin..end-1, representatives of clusters, to one light of each cluster light_begin..light_end-1.
 
@@ -84,31 +98,43 @@ def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_
     seen: (C, 2) float32; gathers the visible light and all light.
     What lets some of the light through is open or closed at random.  Returns the number of rays.
     """
-    lane_of, light_to = np.empty(WIDTH, np.int64), np.empty(WIDTH, np.float32)
-    through = np.ones((WIDTH, 3), np.float32)
+    lane_of, through = np.empty(WIDTH, np.int64), np.ones((WIDTH, 3), np.float32)
     packet = new_packet()
     surface = np.zeros(SURFACE, np.float32)
     rows = new_registers(scene.materials)
     vpls, first = lights.vpls, lights.first
+    places = np.empty((6, end - begin), np.float32)
+    for i in range(begin, end):
+        for c in range(3):
+            places[c, i - begin], places[3 + c, i - begin] = points.position[i, c], points.ng[i, c]
+    light, member = np.empty(end - begin, np.float32), np.empty(end - begin, np.int64)
     rays = 0
     for k in range(light_begin, light_end):
         column, last = first[k] - first[light_begin], first[k + 1] - first[light_begin]
         u = np.float32((uniform(seed, 0, 0, 0) + (k + 0.5) * _GOLDEN) % 1.0)
+        if first[k + 1] == first[k] + 1:
+            member[:] = first[k]
+            _light_at(lights, first[k], places, g_max, light)
+        else:
+            for n in range(end - begin):
+                member[n], light[n] = _drawn_member(
+                    lights, first[k], first[k + 1], places[0, n], places[1, n], places[2, n], places[3, n], places[4, n], places[5, n], g_max, u
+                )  # fmt: skip
         i = begin
         while i < end:
             lanes = 0
             while i < end and lanes < WIDTH:
-                px, py, pz = points.position[i, 0], points.position[i, 1], points.position[i, 2]
-                gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
-                m, light = _drawn_member(lights, first[k], first[k + 1], px, py, pz, gx, gy, gz, g_max, u)
-                if m >= 0:
+                n = i - begin
+                if light[n] > _0:
+                    seen[i, 1] += light[n]
+                    m = member[n]
                     ox, oy, oz, dx, dy, dz = shadow_segment(
-                        px, py, pz, gx, gy, gz, points.error[i],
+                        places[0, n], places[1, n], places[2, n], places[3, n], places[4, n], places[5, n], points.error[i],
                         vpls.position[m, 0], vpls.position[m, 1], vpls.position[m, 2],
                         vpls.normal[m, 0], vpls.normal[m, 1], vpls.normal[m, 2], vpls.error[m],
                     )  # fmt: skip
                     set_ray(packet, lanes, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
-                    lane_of[lanes], light_to[lanes] = i, light
+                    lane_of[lanes] = i
                     lanes += 1
                 else:
                     visible[i, column:last] = 0
@@ -120,8 +146,7 @@ def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_
             for lane in range(lanes):
                 at = lane_of[lane]
                 share = (through[lane, 0] + through[lane, 1] + through[lane, 2]) * np.float32(1 / 3)
-                seen[at, 0] += light_to[lane] * share
-                seen[at, 1] += light_to[lane]
+                seen[at, 0] += light[at - begin] * share
                 is_open = share >= _1 or (share > _0 and uniform(seed, at, k, 1) < share)
                 visible[at, column:last] = SEEN if is_open else 0
     return rays

@@ -29,7 +29,7 @@ from ..transport import Transport
 from ..view.points import ShadingPoints, pixel_maxima
 from .cluster_shading import Lights, blend_values, light_tables, shade, trace_clusters
 from .instant_radiosity import clamp_of, compensate
-from .light_cache import no_cache
+from .light_cache import LightCache, no_cache
 
 SHADE_WITH = ("clusters", "vpls")
 
@@ -39,6 +39,7 @@ VISIBILITY_BYTES = 1 << 26  # of visibility in memory at once
 # The light that the clamp took is noisy: it is spread over this many clusters, and what exceeds OUTLIER times the mean
 # of the COARSE clusters around over all of those.
 SPREAD = 9
+FEWEST_RAYS = 2048  # that find it, where clusters are few
 COARSE = 64
 OUTLIER = 2.0
 BROAD_FUZZINESS = 6
@@ -80,6 +81,7 @@ class FuzzyClustering:
     shade_with: `clusters` shades with one representative of each VPL cluster, which has the cluster's flux (Eq. 6);
         `vpls` with every VPL, clusters giving only visibility.
     compensation: gather rays a point cluster that give back the light taken by the clamp (0: none).
+    cache: what is known of the light that surfaces send, where their paths may end.
 
     `prepare` does the work on the lights, `irradiance` that on the view: other views of the same VPLs cost no work on lights.
     """
@@ -93,6 +95,7 @@ class FuzzyClustering:
         weighting: str = "smooth",
         shade_with: str = "clusters",
         compensation: int = 8,
+        cache: LightCache | None = None,
         bounces: int = 4,
         seed: int = 0,
         threads: int = 0,
@@ -105,6 +108,7 @@ class FuzzyClustering:
         self.weighting = weighting
         self.shade_with = shade_with
         self.compensation = compensation
+        self.cache = no_cache() if cache is None else cache
         self.bounces = bounces
         self.seed = seed
         self.threads = threads
@@ -186,14 +190,15 @@ class FuzzyClustering:
     def _give_back(self, points: ShadingPoints, out: np.ndarray) -> None:
         """Adds the light that the clamp took: a mean for each cluster, found at random members, blended like visibility."""
         view = self.view
-        at = points.take(view.random_members(self.compensation, np.random.default_rng(self.seed)))
+        count = max(self.compensation, -(-FEWEST_RAYS // len(view.at)))
+        at = points.take(view.random_members(count, np.random.default_rng(self.seed)))
         lost = np.zeros((len(at.pixel), 3), np.float32)
 
         def gather(begin, end):
-            return compensate(self.scene, no_cache(), at, begin, end, self.g_max, 1, self.bounces, np.uint32(self.seed + 1), lost)
+            return compensate(self.scene, self.cache, at, begin, end, self.g_max, 1, self.bounces, np.uint32(self.seed + 1), lost)
 
         self.rays += sum(run_chunks(gather, len(lost), POINTS_A_CHUNK, self.threads))
-        means = lost.reshape(-1, self.compensation, 3).mean(axis=1)
+        means = lost.reshape(-1, count, 3).mean(axis=1)
         self._add_blend(self._smoothed(means), out)
 
     def _smoothed(self, values: np.ndarray) -> np.ndarray:

@@ -296,6 +296,11 @@ def _sample_lights_leaf(
     return rays
 
 
+def cache_paths(points: int, rays: int) -> int:
+    """Of a cache of light for so many points with so many rays each."""
+    return max(min(MIN_PATHS, PATHS_A_POINT * points), int(PATHS * points * rays**0.5))
+
+
 class ImportanceSampling:
     """Virtual lights picked by what they can give, and gather rays into a cache of light.
 
@@ -326,8 +331,7 @@ class ImportanceSampling:
         """
         self.scene = scene
         if paths is None:
-            n = len(points.pixel)
-            paths = max(min(MIN_PATHS, PATHS_A_POINT * n), int(PATHS * n * (self.samples + self.gather) ** 0.5))
+            paths = cache_paths(len(points.pixel), self.samples + self.gather)
         probes, rays = tracer(scene, points, paths, self.seed ^ 0x51AB5, self.threads, part(progress, 0.0, 0.6))
         # Where the view's light comes from last: there the particles are wanted.
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]

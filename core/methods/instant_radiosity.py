@@ -25,7 +25,7 @@ from ..surfaces.visibility import nearest_surface, shadow_packet
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .light_cache import no_cache
+from .light_cache import NEAR, no_cache
 from .tails import path_light
 
 CHUNK = 256  # points a chunk: neighbours in the picture, so that a VPL's rays to them are coherent
@@ -105,6 +105,8 @@ def _shade(scene, vpls, points, begin, end, g_max, visibility, cutouts, out):
 def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, out):
     """Adds what the clamp took from the points begin..end-1, by `samples` gather rays each; the rays traced.
 
+    cache: where paths may end; `no_cache()` knows nothing.
+
     Kollig & Keller 2004, "Illumination in the Presence of Weak Singularities", Eq. 5.
     """
     packet = new_packet()
@@ -115,6 +117,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
     found = np.empty(WIDTH, np.int32)
     hit_uv = np.empty((WIDTH, 2), np.float32)
     share = _1 / np.float32(samples)
+    near = np.float32(NEAR) * cache.size if len(cache.bright) > 0 else np.float32(np.inf)
     rays = 0
     for base in range(begin, end, WIDTH):
         lanes = min(WIDTH, end - base)
@@ -183,7 +186,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                     surface,
                     lobe,
                     cache,
-                    np.float32(np.inf),
+                    near,
                     x,
                     y,
                     z,

@@ -229,4 +229,5 @@ def averaged(now: Estimate, earlier: list[Estimate], threads: int) -> np.ndarray
 def with_light(picture: Picture, light: np.ndarray) -> Picture:
     """The picture with other indirect light (H, W, 6): irradiance, and radiance by reflections."""
     diffuse = light[..., DIFFUSE] * picture.albedo * np.float32(1 / np.pi)
-    return replace(picture, diffuse_indirect=diffuse, glossy_indirect=np.ascontiguousarray(light[..., GLOSSY]))
+    smooth = None if picture.smooth is None else diffuse
+    return replace(picture, diffuse_indirect=diffuse, glossy_indirect=np.ascontiguousarray(light[..., GLOSSY]), smooth=smooth)

@@ -106,8 +106,10 @@ def test_light_whose_error_is_met_is_not_denoised(sphere):
 
 def test_smooth_light_is_left_to_its_method():
     clouded = replace(picture(noisy(0.3, 1)), direct=noisy(0.3, 2), glossy_indirect=noisy(0.3, 3))
-    clean, rough = replace(clouded, smooth=True).denoised(Tilted(), 1), clouded.denoised(Tilted(), 1)
+    clean, rough = replace(clouded, smooth=clouded.diffuse_indirect).denoised(Tilted(), 1), clouded.denoised(Tilted(), 1)
     assert np.array_equal(clean.diffuse_indirect, clouded.diffuse_indirect)
+    by_glass = replace(clouded, smooth=np.float32(0.75) * clouded.diffuse_indirect).denoised(Tilted(), 1).diffuse_indirect
+    assert np.all(by_glass >= np.float32(0.75) * clouded.diffuse_indirect) and not np.array_equal(by_glass, clouded.diffuse_indirect)
     assert not np.array_equal(rough.diffuse_indirect, clouded.diffuse_indirect)
     for name in ("direct", "glossy_indirect"):
         assert np.array_equal(getattr(clean, name), getattr(rough, name))
