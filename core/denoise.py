@@ -94,7 +94,8 @@ class DenoiseError(RuntimeError):
 
 def mean_factor(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """What gives the channels of `after` (H, W, 3) the means of `before`: (3,) float32, bounded where those are of outliers."""
-    means = [image.mean(axis=(0, 1), dtype=np.float64) for image in (before, after)]
+    # By channels: the mean over the first two axes takes ten times as long.
+    means = [np.array([image[..., c].mean(dtype=np.float64) for c in range(3)]) for image in (before, after)]
     factor = np.divide(*means, out=np.ones(3), where=means[1] > 0)
     return np.clip(factor, 1 / _MEAN_FACTOR, _MEAN_FACTOR).astype(np.float32)
 
@@ -278,9 +279,10 @@ def _image(array: np.ndarray, like: np.ndarray | None = None) -> np.ndarray:
 
 def _finite_neighbours(color: np.ndarray) -> np.ndarray:
     """`color` with each pixel that is not finite replaced by the mean of the finite ones around it, 0 if there are none."""
-    bad = ~np.isfinite(color).all(axis=2)
-    if not bad.any():
+    finite = np.isfinite(color)
+    if finite.all():
         return color
+    bad = ~finite.all(axis=2)
     values = np.pad(np.where(bad[..., None], 0, color), ((1, 1), (1, 1), (0, 0)))
     counts = np.pad(~bad, 1).astype(np.float32)
     fixed = color.copy()

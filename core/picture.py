@@ -175,7 +175,7 @@ class Picture:
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
         """The albedo with what mirrors and glass show, of which few rays have told, and whether it is free of noise."""
         beyond = self.guide_albedo - self.albedo
-        marked = beyond.max(axis=2) > MIRRORED
+        marked = largest(beyond) > MIRRORED
         if marked.mean() <= MIRRORED_PIXELS:
             return self.guide_albedo, True
         if quality == "fast" and marked.mean() < MOSTLY_MIRRORED:
@@ -204,11 +204,11 @@ class Picture:
         The ratio has no holes where nothing is diffuse, and none of the edges of textures and surfaces that the denoiser would have to find.
         """
         least = LEAST_FORESEEN * self.foreseen.mean()
-        known = (self.foreseen.max(axis=2) > least) & np.isfinite(self.diffuse_indirect).all(axis=2)
+        known = (largest(self.foreseen) > least) & np.isfinite(np.einsum("ijc->ij", self.diffuse_indirect))
         if not known.any():
             return np.zeros_like(self.diffuse_indirect)
         light, foreseen = self.diffuse_indirect[known], self.foreseen[known]
-        grey = light.sum(axis=1, keepdims=True) / foreseen.sum(axis=1, keepdims=True)
+        grey = (np.einsum("nc->n", light) / np.einsum("nc->n", foreseen))[:, None]
         ratio = np.divide(light, foreseen, out=grey.repeat(3, axis=1), where=foreseen > least)
         scale = np.float32(2) * max(ratio.mean(), np.float32(1e-30))
         image = np.zeros_like(self.foreseen)
@@ -269,6 +269,11 @@ def _around(marked: np.ndarray) -> tuple[slice, slice]:
     """The rows and columns that hold all marked pixels, and a margin."""
     rows, columns = (np.flatnonzero(marked.any(axis=axis)) for axis in (1, 0))
     return tuple(slice(max(0, at[0] - MARGIN), at[-1] + 1 + MARGIN) for at in (rows, columns))
+
+
+def largest(image: np.ndarray) -> np.ndarray:
+    """The largest channel (H, W) of each pixel, NaN where one is: ten times as fast as `image.max(axis=2)`."""
+    return np.maximum(np.maximum(image[..., 0], image[..., 1]), image[..., 2])
 
 
 def splat(points: ShadingPoints, radiance: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -91,14 +91,15 @@ def drop_useless(vpls: Vpls, points: ShadingPoints) -> Vpls:
     if len(points.pixel) == 0 or len(vpls.bounce) == 0:
         return vpls
     low, high = points.position.min(axis=0), points.position.max(axis=0)
-    farthest = np.where(vpls.normal > 0, high, low)
-    ahead = ((farthest - vpls.position) * vpls.normal).sum(axis=1) > 0
+    # Of the box's corner that lies farthest ahead; by components, for sums over an axis of three are ten times as slow.
+    columns = zip(vpls.position.T, vpls.normal.T, low, high)
+    ahead = sum(np.maximum((above - x) * n, (below - x) * n) for x, n, below, above in columns) > 0
     return vpls if ahead.all() else vpls.take(ahead)
 
 
 def view_subset(points: ShadingPoints, count: int, seed: int) -> ShadingPoints:
     """`count` points spread evenly over the picture, in proportion to how much each shows."""
-    weight = points.albedo.mean(axis=1) + points.f0.mean(axis=1) + 1e-6
+    weight = np.einsum("nc->n", points.albedo + points.f0) / 3 + 1e-6
     cdf = np.cumsum(weight, dtype=np.float64)
     at = (np.arange(count) + np.random.default_rng(seed).random()) / count
     return points.take(np.minimum(np.searchsorted(cdf, at * cdf[-1]), len(weight) - 1))

@@ -60,7 +60,7 @@ class ShadingPoints(NamedTuple):
 
 def shares(points: ShadingPoints) -> np.ndarray:
     """Part of its pixel's diffuse albedo that each point is, (N,) float32; 0 where its own is black."""
-    albedo = points.albedo.sum(axis=1)
+    albedo = np.einsum("nc->n", points.albedo)
     whole = np.bincount(points.pixel, albedo)
     return np.divide(albedo, whole[points.pixel], out=np.zeros_like(albedo), where=albedo > 0)
 
