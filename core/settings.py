@@ -220,7 +220,7 @@ class RenderSettings:
                 numbers = QUALITIES["medium"]  # passes are planned in units of the usual numbers
         sampled = method in ("importance-sampling", "fuzzy-clustering")
         denoise = sampled if self.denoise is None else self.denoise
-        choice = {"direct_samples": (4, 16), "reflections": (4 if method == "importance-sampling" else 2, 8)}
+        choice = {"direct_samples": (8, 16), "reflections": (4 if method == "importance-sampling" else 2, 8)}
         open_ = {name: few if sampled else many for name, (few, many) in choice.items() if getattr(self, name) is None}
         return replace(self, method=method, denoise=denoise, target_error=goal, **numbers, **open_)
 
@@ -253,7 +253,7 @@ class SequenceSettings:
 
     history: earlier frames whose light is reprojected and averaged into a frame, 0 for independent frames.
     share: part of the rays of a picture by itself that a frame with history takes.
-    edges: how many times the primary samples and shadow rays to lamps of a picture by itself it takes: history knows nothing of those.
+    edges: how many times the primary samples of a picture by itself it takes: history knows nothing of those.
     motion_blur: sub-frames a frame while the shutter is open, 1 for none.
     """
 
@@ -268,9 +268,9 @@ class SequenceSettings:
         return self.share / self.motion_blur if self.history else 1.0
 
     def frame(self, settings: RenderSettings) -> RenderSettings:
-        """The request for one frame: fewer rays for what noise the frames before it take out, more for edges and direct light.
+        """The request for one frame: fewer rays for what noise the frames before it take out, more for edges.
 
-        Sub-frames have edges and direct light of their own, as many as ever.
+        Sub-frames have edges of their own, as many as ever.
         """
         settings = settings.with_defaults()
         if not self.history or settings.time_budget is not None or settings.target_error is not None:
@@ -278,9 +278,7 @@ class SequenceSettings:
         if settings.method != "importance-sampling":
             return settings
         edges = self.edges if self.motion_blur == 1 else 1.0
-        shares = dict.fromkeys(("samples", "gather", "reflections"), self.frame_share) | dict.fromkeys(
-            ("pixel_samples", "direct_samples"), edges
-        )
+        shares = dict.fromkeys(("samples", "gather", "reflections"), self.frame_share) | {"pixel_samples": edges}
         return replace(settings, **{name: max(1, round(share * n)) for name, share in shares.items() if (n := getattr(settings, name)) > 0})
 
 

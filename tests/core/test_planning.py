@@ -100,8 +100,8 @@ def test_pilot_sets_the_first_round_of_a_target():
 def test_quick_passes_keep_more_of_their_rays_to_lamps_and_lobes():
     usual = RenderSettings().with_defaults()
     quick, many = usual.scaled(0.25, 1), usual.scaled(4.0, 1)
-    assert (quick.samples, quick.gather, quick.direct_samples, quick.reflections) == (2, 2, 2, 2)
-    assert (many.samples, many.gather, many.direct_samples, many.reflections) == (32, 32, 16, 16)
+    assert (quick.samples, quick.gather, quick.direct_samples, quick.reflections) == (2, 2, 4, 2)
+    assert (many.samples, many.gather, many.direct_samples, many.reflections) == (32, 32, 32, 16)
 
 
 def test_the_denoiser_has_more_time_where_there_are_more_rays():

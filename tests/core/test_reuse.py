@@ -186,7 +186,7 @@ def test_a_frame_spends_on_edges_what_history_saves():
     asked = replace(SETTINGS, samples=8, pixel_samples=8, direct_samples=3)
     whole, frame, exposure = (SequenceSettings(**kind).frame(asked) for kind in ({"history": 0}, {}, {"motion_blur": 2}))
     assert (whole.pixel_samples, whole.direct_samples) == (8, 3)
-    assert (frame.pixel_samples, frame.direct_samples) == (12, 4)
+    assert (frame.pixel_samples, frame.direct_samples) == (12, 3)
     assert (exposure.pixel_samples, exposure.direct_samples) == (8, 3)
     assert exposure.samples < frame.samples < whole.samples
 
