@@ -223,7 +223,8 @@ def cache_stage(run: Run, tables: Transport, points: ShadingPoints, settings: Re
     accurate = settings.method == "importance-sampling"
     if not (accurate or settings.method == "fuzzy-clustering") or settings.bounces < 1 or not tables.emitters.flux.any():
         return None
-    if not points.albedo.any() and not has_lobes(points):
+    reflects = has_lobes(points) and (accurate or settings.reflections > 0)
+    if not (points.albedo.any() and (accurate or settings.compensation)) and not reflects:
         return None
     with run.stage("cache") as tick:
         sampler = ImportanceSampling(

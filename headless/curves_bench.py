@@ -2,7 +2,8 @@
 
 Contestants take turns in one run, each turn with seeds of its own; a row has the medians.  Errors are those of a layer against
 two independent halves of a reference by Cycles, relMSE net of their noise (`core.metrics.net_relmse`).  Cycles is denoised with its
-guides as they are and with guides denoised first; the better one at `TARGET_SAMPLES` is the peer of a scene.
+guides as they are and with guides denoised first; the better one at `TARGET_SAMPLES` is the peer of a scene, at equal time the
+better one of that time.
 
 Rows of three suites: `curves` (what was measured), `time-to-error` (seconds to the peer's error, interpolated) and `equal-time`
 (errors of the pictures, which lie beside the plots).  A row with a `bound` holds one of what lies outside what was measured:
@@ -40,7 +41,7 @@ SCENES = ("atrium", "corridor", "cathedral", "cornell")
 SHARED = ("cornell-box/Original", "cornell-box/Sphere", "cornell-box/Glossy", "living-room-greywhite", "sponza-crytek")
 LAYERS = ("DiffuseIndirect", "Indirect")
 SIZE = (480, 270)
-QUALITIES = (0.25, 0.5, 1.0, 2.0, 4.0)
+QUALITIES = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
 PEER_SAMPLES, TARGET_SAMPLES, REFERENCE_SAMPLES = (4, 16, 64), 16, 256
 BUDGETS = (1.0, 2.0, 5.0)  # seconds of the pictures at equal time
 REPEATS = 3
@@ -49,6 +50,7 @@ OURS = RenderSettings().with_defaults()
 PEERS = {"cycles": None, "cycles+oidn": {"denoise": True}, "cycles+oidn, guides denoised": {"denoise": True, "prefilter": True}}
 PEER_SEED = 1000  # far from the reference's seeds: a picture must not share its noise
 MOST_SAMPLES = 4096
+LATEST = 1.2  # of a budget: what takes longer has not kept it
 METRICS = ("relmse", "rmse", "bias", "flip")
 OPPOSITE = {"more than": "less than", "less than": "more than"}
 
@@ -157,9 +159,8 @@ def _scene_rows(folder, name: str, source: str, size, spp, reference_samples: in
         points = _measure(scene, truth, size, spp, repeats, qualities, denoiser)
         rows = [_point_row(name, size, truth, layer, point) for layer in LAYERS for point in points]
         rows += [row for layer in LAYERS for row in time_rows(name, layer, points, truth.noise(layer))]
-        peer = best_peer(points, "Indirect")
         for budget in budgets:
-            rows += _equal_time(folder, name, scene, truth, size, budget, [p for p in points if p.method == peer], denoiser)
+            rows += _equal_time(folder, name, scene, truth, size, budget, points, denoiser)
     return rows
 
 
@@ -280,18 +281,27 @@ def fitting_samples(points: list[Point], budget: float) -> int:
     return int(np.clip((budget - start) / each, 1, MOST_SAMPLES))
 
 
-def _equal_time(folder, name: str, scene: bpy.types.Scene, truth: Truth, size, budget: float, peers: list[Point], denoiser) -> list[dict]:
+def fitting_peer(errors: dict[str, float], seconds: dict[str, float], budget: float) -> str:
+    """The method with the least error of those that kept the budget about; the quickest where none did."""
+    kept = [method for method, spent in seconds.items() if spent <= LATEST * budget]
+    return min(kept, key=errors.__getitem__) if kept else min(seconds, key=seconds.__getitem__)
+
+
+def _equal_time(folder, name: str, scene: bpy.types.Scene, truth: Truth, size, budget: float, points: list[Point], denoiser) -> list[dict]:
     """Rows of our picture and Cycles' at one time, and the picture of both beside the reference: a row of panels for each layer."""
-    samples = fitting_samples(peers, budget)
     ours = contestants.ours(scene, size, replace(OURS, time_budget=budget))
-    cycles = _cycles(scene, size, samples, 0, denoiser)[peers[0].method]
+    fitting = {method: fitting_samples([p for p in points if p.method == method], budget) for method in PEERS if PEERS[method]}
+    runs = {method: _cycles(scene, size, samples, 0, denoiser)[method] for method, samples in fitting.items()}
+    errors = {method: truth.errors(run.layers, "Indirect")["relmse"] for method, run in runs.items()}
+    method = fitting_peer(errors, {method: run.seconds for method, run in runs.items()}, budget)
+    samples, cycles = fitting[method], runs[method]
     plain = re.sub(r"[^\w.-]+", "-", name)
     picture = folder / f"equal-time-{plain}-{budget:g}s.png"
     shown = [[layers[layer] for layers in (ours.layers, cycles.layers, truth.clean)] for layer in LAYERS]
     stops = auto_exposure([panels[-1] for panels in shown])
     write_png(picture, srgb(np.block([[[panel] for panel in panels] for panels in shown]) * np.float32(2.0**stops)))
     # Either may take longer than it should: the least picture of a scene has its time.
-    spent = f"ours in {ours.seconds:.2g} s, Cycles with {samples} samples in {cycles.seconds:.2g} s"
+    spent = f"ours in {ours.seconds:.2g} s, {method} with {samples} samples in {cycles.seconds:.2g} s"
     rows = []
     for layer in LAYERS:
         value, peer = (truth.errors(run.layers, layer)["relmse"] for run in (ours, cycles))
@@ -304,6 +314,7 @@ def _equal_time(folder, name: str, scene: bpy.types.Scene, truth: Truth, size, b
             "scene": name,
             "layer": layer,
             "seconds": ours.seconds,
+            "peer": method,
             "peer_seconds": cycles.seconds,
             "peer_samples": samples,
             "picture": picture.name,

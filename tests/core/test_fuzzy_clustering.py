@@ -213,6 +213,14 @@ def test_energy_in_a_closed_sphere(sphere, shade_with):
     assert result.layers["Irradiance"].mean() == pytest.approx(np.pi * 0.75, rel=0.015)
 
 
+@pytest.mark.parametrize("compensation", [True, False])
+def test_a_cache_is_built_only_where_something_reads_it(sphere, compensation):
+    settings = RenderSettings(
+        method="fuzzy-clustering", vpls=64, pixel_samples=1, vpl_clusters=16, point_clusters=50, compensation=compensation
+    )
+    assert ("cache" in render(sphere, settings).stats["seconds"]) == compensation  # nothing in there is glossy
+
+
 def test_same_bits_for_any_number_of_threads(sphere):
     settings = [
         RenderSettings(method="fuzzy-clustering", vpls=128, pixel_samples=4, threads=t, seed=7, vpl_clusters=40, point_clusters=300)

@@ -18,6 +18,7 @@ from lumigate.headless.curves_bench import (
     Time,
     curves_rows,
     curves_steps,
+    fitting_peer,
     fitting_samples,
     geometric_means,
     time_rows,
@@ -87,6 +88,13 @@ def test_samples_fit_a_time_with_the_start_of_a_render_paid():
     assert fitting_samples(points, 0.1) == 1
     assert fitting_samples(points[1:2], 4.3) == 32
     assert fitting_samples([point("cycles", n, 0.5, 1.0) for n in (4, 16)], 0.4) in (1, 16)  # a start and nothing else
+
+
+def test_the_peer_at_equal_time_is_the_better_one_that_keeps_it():
+    errors = {"as they are": 0.2, "denoised": 0.1}
+    assert fitting_peer(errors, {"as they are": 2.0, "denoised": 2.1}, 2.0) == "denoised"
+    assert fitting_peer(errors, {"as they are": 2.0, "denoised": 3.4}, 2.0) == "as they are"
+    assert fitting_peer(errors, {"as they are": 2.9, "denoised": 2.8}, 1.0) == "denoised"
 
 
 @pytest.fixture(scope="module")
