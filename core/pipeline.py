@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .coincident import darken, warning_line
 from .denoise import Denoiser
 from .lamps import DirectLight, LightGroups, world_tables
 from .layers import Layers
@@ -305,6 +306,8 @@ def _look(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
             )
 
         seen = run.sequence.view(scene, settings, look) if run.sequence else look()
+        if len(black := darken(seen.points, run.black)):
+            run.warn(warning_line(scene.geometry, black))
         run.rays["primary"] += seen.rays
         run.leave_out("pixels", seen.depth.size - len(np.unique(seen.points.pixel)), seen.depth.size)
     return seen

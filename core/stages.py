@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from .coincident import coincident, without_reflection
 from .errors import SceneError
 from .inspection import foresee, savings
 from .jit import CompileTimer
@@ -61,6 +62,7 @@ class Run:
     seconds: dict = field(default_factory=dict)
     rays: dict = field(default_factory=lambda: {"primary": 0, "light": 0, "shadow": 0})
     pairs: int = 0
+    black: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # triangles that lie on others: `core.coincident`
     skipped: list[Skipped] = field(default_factory=list)
     foreseen: list[dict] = field(default_factory=list)  # `core.inspection.savings` of the scene
     left_out: dict[str, tuple[int, int]] = field(default_factory=dict)  # by the keys of LEFT_OUT: so many of so many
@@ -78,6 +80,11 @@ class Run:
         """Note what was left out, once."""
         if Skipped(stage, why) not in self.skipped:
             self.skipped.append(Skipped(stage, why))
+
+    def warn(self, line: str) -> None:
+        """Note what is wrong with the scene; of lines that differ in their figures the first."""
+        if not any(line.lstrip("0123456789,") == other.lstrip("0123456789,") for other in self.warnings):
+            self.warnings.append(line)
 
     def leave_out(self, stage: str, left: int, of: int) -> None:
         """Count `left` of `of` things that cost nothing, for `savings`."""
@@ -131,7 +138,8 @@ def prepared(run: Run, scene: Scene, settings: RenderSettings, threads: int, top
             run.skipped = [*scene.skipped, *skipped]
             run.foreseen = savings(scene, emitters, settings.direct_samples)
             run.warnings += [*scene.warnings, *warnings]
-            tables = transport(scene.geometry, scene.materials.tables, rays.tables, emitters)
+            run.black = coincident(scene)
+            tables = without_reflection(transport(scene.geometry, scene.materials.tables, rays.tables, emitters), run.black)
         if settings.method == "visibility-gates":
             with run.stage("topology"):
                 run.topology = topologies.of(scene, settings.voxels, threads)

@@ -1,0 +1,183 @@
+"""Faces that lie on other faces: whatever leaves one of them meets the other at once.
+
+Cycles' rays leave a triangle without an offset and leave out that triangle alone, so that one which shares its place with another is
+black, in direct and in indirect light, wherever rounding does not lift the ray's origin off it by chance: always in a plane across an
+axis of the world, whose coordinate is exact.  (Measured with Cycles 4.5 and 5.2, for all six directions: tests/headless/test_coincident.py.
+In other planes about half of the light gets through, and much of the rest comes back by the other face.)  Such faces are black here, too:
+layers of both renderers are added up, and have to show the same.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .jit import kernel, leaf
+from .scene import CONSTANT, DIFFUSE, EMISSIVE, REFRACTIVE, SHADOW, TRANSPARENT, Geometry, Scene
+from .surfaces.layout import SURFACE
+from .transport import Transport
+from .view.points import ShadingPoints
+
+MOST_NAMES = 3  # in a warning
+# Of its coordinate: a quarter of a last place, by which that of a triangle across an axis may differ here, and does not in Cycles.
+FLAT = 2.0**-25
+
+
+@kernel
+def _across_axes(vertices, triangles, wanted, origin, index, axis_of, place):
+    """Lists the wanted triangles that lie in a plane across an axis of the world, with that axis and their coordinate; their number."""
+    n = 0
+    for k in range(len(triangles)):
+        if not wanted[k]:
+            continue
+        a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
+        for axis in range(3):
+            x, y, z = vertices[a, axis] + origin[axis], vertices[b, axis] + origin[axis], vertices[c, axis] + origin[axis]
+            low, high = min(x, y, z), max(x, y, z)
+            if high - low <= FLAT * max(abs(low), abs(high)):
+                index[n], axis_of[n], place[n] = k, axis, np.float32(0.5 * (low + high))
+                n += 1
+                break
+    return n
+
+
+@leaf
+def _within(corners, j, x, y, least):
+    """Whether triangle j holds a place, all of its barycentric coordinates being above `least`."""
+    ax, ay = corners[j, 0, 0] - x, corners[j, 0, 1] - y
+    bx, by = corners[j, 1, 0] - x, corners[j, 1, 1] - y
+    cx, cy = corners[j, 2, 0] - x, corners[j, 2, 1] - y
+    u, v, w = bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx
+    area = u + v + w
+    if area == 0:
+        return False
+    return u / area > least and v / area > least and w / area > least
+
+
+@kernel
+def _mark_covered(corners, start, covered):
+    """Marks the triangles (N,) all of whose samples lie in other triangles of their plane.
+
+    corners: (N, 3, 2) float64, plane by plane.  start: (P + 1,), the planes.
+    """
+    for p in range(len(start) - 1):
+        begin, end = start[p], start[p + 1]
+        if end - begin < 2:
+            continue
+        low_x = low_y = np.inf
+        high_x = high_y = -np.inf
+        for k in range(begin, end):
+            for c in range(3):
+                low_x, high_x = min(low_x, corners[k, c, 0]), max(high_x, corners[k, c, 0])
+                low_y, high_y = min(low_y, corners[k, c, 1]), max(high_y, corners[k, c, 1])
+        side = max(1, int((end - begin) ** 0.5))
+        scale_x, scale_y = side / max(high_x - low_x, 1e-30), side / max(high_y - low_y, 1e-30)
+        # Each cell lists the triangles whose boxes meet it: counted first, then filled in.
+        first = np.zeros(side * side + 1, np.int64)
+        listed = np.empty(0, np.int64)
+        for turn in range(2):
+            for k in range(begin, end):
+                x0 = min(side - 1, int((min(corners[k, 0, 0], corners[k, 1, 0], corners[k, 2, 0]) - low_x) * scale_x))
+                x1 = min(side - 1, int((max(corners[k, 0, 0], corners[k, 1, 0], corners[k, 2, 0]) - low_x) * scale_x))
+                y0 = min(side - 1, int((min(corners[k, 0, 1], corners[k, 1, 1], corners[k, 2, 1]) - low_y) * scale_y))
+                y1 = min(side - 1, int((max(corners[k, 0, 1], corners[k, 1, 1], corners[k, 2, 1]) - low_y) * scale_y))
+                for y in range(y0, y1 + 1):
+                    for x in range(x0, x1 + 1):
+                        cell = y * side + x
+                        if turn == 0:
+                            first[cell + 1] += 1
+                        else:
+                            listed[first[cell]] = k
+                            first[cell] += 1
+            if turn == 0:
+                for cell in range(side * side):
+                    first[cell + 1] += first[cell]
+                listed = np.empty(first[-1], np.int64)
+        # Filled cells begin where their predecessor does now.
+        for k in range(begin, end):
+            hidden = True
+            for sample in range(4):
+                # One well inside, and one near each corner; these may lie on the edge between two that cover it together.
+                wa, wb, wc, least = 0.5, 0.3, 0.2, 1e-4
+                if sample > 0:
+                    wa, wb, wc, least = 0.1, 0.1, 0.1, -1e-4
+                    if sample == 1:
+                        wa = 0.8
+                    elif sample == 2:
+                        wb = 0.8
+                    else:
+                        wc = 0.8
+                x = wa * corners[k, 0, 0] + wb * corners[k, 1, 0] + wc * corners[k, 2, 0]
+                y = wa * corners[k, 0, 1] + wb * corners[k, 1, 1] + wc * corners[k, 2, 1]
+                cell = min(side - 1, int((y - low_y) * scale_y)) * side + min(side - 1, int((x - low_x) * scale_x))
+                met = False
+                for at in range(first[cell - 1] if cell > 0 else 0, first[cell]):
+                    if listed[at] != k and _within(corners, listed[at], x, y, least):
+                        met = True
+                        break
+                if not met:
+                    hidden = False
+                    break
+            covered[k] = hidden
+
+
+def coincident(scene: Scene) -> np.ndarray:
+    """The triangles (K,) int64 in planes across an axis that others cover: opaque ones, which all rays see, on both sides."""
+    geometry, materials = scene.geometry, scene.materials.tables
+    seen = (geometry.object_visibility & (DIFFUSE | SHADOW)) == DIFFUSE | SHADOW
+    opaque = (materials.flags & (TRANSPARENT | REFRACTIVE)) == 0
+    wanted = seen[geometry.object] & opaque[geometry.material]
+    index, axis, place = (np.empty(len(wanted), kind) for kind in (np.int64, np.int64, np.float32))
+    n = _across_axes(geometry.vertices, geometry.triangles, wanted, np.asarray(scene.origin, np.float64), index, axis, place)
+    if n < 2:
+        return np.zeros(0, np.int64)
+    order = np.lexsort((place[:n], axis[:n]))
+    index, axis, place = index[:n][order], axis[:n][order], place[:n][order]
+    start = np.flatnonzero((np.diff(axis) != 0) | (np.diff(place) != 0)) + 1
+    corners = geometry.vertices[geometry.triangles[index]].astype(np.float64)
+    flat = np.empty((n, 3, 2))
+    for k in range(3):
+        here = axis == k
+        flat[here] = corners[here][..., [(k + 1) % 3, (k + 2) % 3]]
+    covered = np.zeros(n, np.bool_)
+    _mark_covered(flat, np.concatenate([[0], start, [n]]), covered)
+    return np.sort(index[covered])
+
+
+def without_reflection(tables: Transport, at: np.ndarray) -> Transport:
+    """The tables with the triangles `at` (K,) black, but for those that shine."""
+    materials = tables.materials
+    at = at[(materials.flags[tables.material[at]] & EMISSIVE) == 0]
+    if not len(at):
+        return tables
+    black = len(materials.flags)
+    material = tables.material.copy()
+    material[at] = black
+    more = materials._replace(
+        start=np.append(materials.start, materials.start.dtype.type(0)),
+        flags=np.append(materials.flags, materials.flags.dtype.type(CONSTANT)),
+        constant=np.concatenate([materials.constant, np.zeros((1, SURFACE), np.float32)]),
+    )
+    return tables._replace(material=material, materials=more)
+
+
+def darken(points: ShadingPoints, at: np.ndarray) -> np.ndarray:
+    """Takes all reflection from the points on the triangles `at` (K,); those of them that are seen."""
+    if not len(at) or not len(points.triangle):
+        return at[:0]
+    marked = np.zeros(max(int(points.triangle.max()), int(at.max())) + 1, bool)
+    marked[at] = True
+    here = marked[points.triangle]
+    for reflectance in (points.albedo, points.f0, points.f90):
+        reflectance[here] = 0
+    return np.unique(points.triangle[here])
+
+
+def warning_line(geometry: Geometry, at: np.ndarray) -> str:
+    """Names the objects that have some of the seen triangles `at` (K,)."""
+    names = list(dict.fromkeys(geometry.object_names[o] for o in np.unique(geometry.object[at])))
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    named = ", ".join(f"'{name}'" for name in names[:MOST_NAMES])
+    return (
+        f"{len(at):,} triangles that are seen lie exactly on others (object {named}{more}): Cycles shows them black, and so does Lumigate; "
+        "delete the doubled faces, or move one of both a little"
+    )
