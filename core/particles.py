@@ -43,6 +43,7 @@ _EMISSION_DIMENSIONS = 5  # Sobol dimensions that a particle's birth takes
 _MAX_PASSED = 64  # transparent surfaces that one flight passes at most
 _MAX_ADJOINT = np.float32(8.0)  # bound of |ns.w| / |ng.w|: beyond it a smooth normal is far from its triangle
 _MORE_SURFACES = 4  # that a path may meet beyond its diffuse bounces, by glossy reflections
+LEAST_POWER = 1.0  # of the mean light of a first surface: what surely flies on by `trace_by_power`
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -105,8 +106,10 @@ def _reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2):
 
 
 @kernel
-def _trace_particles(scene, begin, end, survivors, bounces, seed, vpls):
+def _trace_particles(scene, begin, end, survivors, least, bounces, seed, vpls):
     """Fly the particles begin..end-1. survivors: (L,) int64, how many of all fly to surface 0..L-1.
+
+    least: of those, what carries less (W times the number of particles, mean of the channels) goes on by chance, with so much.
 
     bounces: diffuse reflections of a path at most, that of its first surface counted even if it is glossy.
 
@@ -255,6 +258,12 @@ def _trace_particles(scene, begin, end, survivors, bounces, seed, vpls):
                     n += 1
                     if bounce + 1 < len(survivors) and i < survivors[bounce + 1]:
                         more = np.float32(survivors[bounce] / survivors[bounce + 1])
+                        power = more * (r + g + b) * np.float32(1 / 3)
+                        if power < least:
+                            if uniform(seed, i, bounce, 3) * least >= power:
+                                flying[lane] = False
+                                continue
+                            more *= least / power
                         flux[lane, 0], flux[lane, 1], flux[lane, 2] = r * more, g * more, b * more
                         direction[lane, 0], direction[lane, 1], direction[lane, 2] = wx, wy, wz
                         origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
@@ -272,20 +281,41 @@ def trace_particles(
 
     The expected irradiance of the VPLs is exactly that of light which left 1 to `bounces` surfaces.
     """
+    return _fly(scene, particles, bounces, seed, threads, progress, by_power=False)
+
+
+def trace_by_power(
+    scene: Transport, particles: int, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None
+) -> tuple[Vpls, int]:
+    """The same light by VPLs that are more alike: which particles go on is told by what each carries, not by its number.
+
+    Where most particles land on something dark, as from a sun on the ground around a house, few go on by number, and the
+    later bounces are a few lights of 20 to 100 times the power of the others.  Arguments and values as `trace_particles`.
+    """
+    return _fly(scene, particles, bounces, seed, threads, progress, by_power=True)
+
+
+def _fly(
+    scene: Transport, particles: int, bounces: int, seed: int, threads: int, progress: Progress | None, *, by_power: bool
+) -> tuple[Vpls, int]:
     chunk = 1024
     probe = min(particles, chunk)
     room = Vpls.allocate(probe)
-    seed = np.uint32(seed)
-    _, n_rays, albedo_sum, albedo_count = _trace_particles(scene, 0, probe, np.array([probe], np.int64), 1, seed, room)
+    seed, none = np.uint32(seed), np.float32(0)
+    n, n_rays, albedo_sum, albedo_count = _trace_particles(scene, 0, probe, np.array([probe], np.int64), none, 1, seed, room)
     if albedo_count == 0 or bounces < 1:
         return Vpls.allocate(0), n_rays
-    rho = min(max(albedo_sum / albedo_count, 0.05), 1.0)
     surfaces = bounces + (_MORE_SURFACES if (scene.materials.flags & GLOSSY_LOBE).any() else 0)
-    survivors = np.array([max(math.floor(rho**j * particles), min(particles, 16)) for j in range(surfaces)], np.int64)
+    if by_power:
+        least = np.float32(LEAST_POWER * room.flux[:n].mean(dtype=np.float64)) if n else none
+        survivors = np.full(surfaces, particles, np.int64)
+    else:
+        least, rho = none, min(max(albedo_sum / albedo_count, 0.05), 1.0)
+        survivors = np.array([max(math.floor(rho**j * particles), min(particles, 16)) for j in range(surfaces)], np.int64)
 
     def work(begin, end):
         room = Vpls.allocate((end - begin) * surfaces)
-        n, rays, _, _ = _trace_particles(scene, begin, end, survivors, bounces, seed, room)
+        n, rays, _, _ = _trace_particles(scene, begin, end, survivors, least, bounces, seed, room)
         return room.take(slice(0, n)), rays
 
     parts = run_chunks(work, particles, chunk, threads, progress)

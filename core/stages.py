@@ -24,7 +24,7 @@ from .methods.probes import trace_probes
 from .methods.shadow_mapped import ShadowMappedRadiosity, direct_by_maps, point_lamps
 from .methods.virtual_area_lights import VirtualAreaLights
 from .methods.visibility_gates import VisibilityGates
-from .particles import Vpls, trace_particles
+from .particles import Vpls, trace_by_power, trace_particles
 from .picture import splat
 from .planning.planner import Planner
 from .reuse import Sequence
@@ -282,7 +282,7 @@ def indirect_stage(
     accurate = sampler if settings.method == "importance-sampling" else None
     with run.stage("vpls") as tick:
         if accurate:
-            particles = run.sequence.particles if run.sequence else trace_particles
+            particles = run.sequence.particles if run.sequence else trace_by_power
             turn = run.turn if run.in_turn(settings) else None
             vpls, counts = sampler.prepare(tables, points, settings.vpls, tick, particles=particles, turn=turn)
         elif settings.method == "virtual-area-lights":

@@ -13,11 +13,13 @@ this is the bias compensation of Kollig & Keller 2004.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
 from ..lamps import focused
-from ..particles import Vpls, trace_particles
+from ..particles import Vpls, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
 from ..rays.packet import (
@@ -65,6 +67,9 @@ WHOLE = 2.0  # points that are half of what their pixel shows, or more, get all 
 PICKS = 8  # of a subset: more of them go to further subsets
 PATHS = 0.16  # of the cache a point, times the root of its rays: what they find is noisier than what the cache knows
 MIN_PATHS = 20000
+# Beyond so many points, what all of them share grows as their root: the denoiser takes out their own noise over as many pixels as ever,
+# so that less of it is left in a larger picture, but not what neighbours have in common.
+MANY_POINTS = 200_000
 PATHS_A_POINT = 64  # at most: a view of a few points does not need as many
 BATCHES = 4  # of particles: those whose light gather rays carry need not be many
 _0 = np.float32(0.0)
@@ -298,7 +303,12 @@ def _sample_lights_leaf(
 
 def cache_paths(points: int, rays: int) -> int:
     """Of a cache of light for so many points with so many rays each."""
-    return max(min(MIN_PATHS, PATHS_A_POINT * points), int(PATHS * points * rays**0.5))
+    return max(min(MIN_PATHS, PATHS_A_POINT * points), int(PATHS * min(points, (points * MANY_POINTS) ** 0.5) * rays**0.5))
+
+
+def pool_growth(points: int) -> int:
+    """By which factor the lights for so many points are more than what is asked for: a power of two, so that frames of a sequence agree."""
+    return 2 ** max(0, round(0.5 * math.log2(max(points, 1) / MANY_POINTS)))
 
 
 class ImportanceSampling:
@@ -356,7 +366,7 @@ class ImportanceSampling:
         count: int,
         progress: Progress | None = None,
         *,
-        particles: Particles = trace_particles,
+        particles: Particles = trace_by_power,
         turn: int | None = None,
     ) -> tuple[Vpls, dict]:
         """Trace about `count` VPLs for what is left to them: the VPLs and the counts of `vpl_pool`, whose `particles` these are.
@@ -364,12 +374,12 @@ class ImportanceSampling:
         `particles` that serve other views, too, are not drawn to this one.  turn: of pictures that are averaged, which then take
         one batch of particles each, in turn.
         """
-        if particles is trace_particles:
+        if particles is trace_by_power:
             scene = scene._replace(emitters=focused(scene.emitters, self.lit_from))
         vpls, counts = vpl_pool(
             scene,
             points,
-            count,
+            count * pool_growth(len(points.pixel)),
             self.bounces,
             clamp_of,
             self.seed if turn is None else self.seed + BATCH_SEED * (turn % BATCHES),

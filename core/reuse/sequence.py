@@ -11,7 +11,7 @@ import numpy as np
 from ..denoise import Denoiser
 from ..lamps import Emitters, LightGroups, build_emitters
 from ..methods.light_cache import Probes
-from ..particles import Vpls, trace_particles
+from ..particles import Vpls, trace_by_power
 from ..picture import Picture
 from ..rays import RayScene
 from ..scene import TRANSPARENT, Scene
@@ -149,12 +149,12 @@ class Sequence:
         return self._view[1]
 
     def particles(self, tables: Transport, count: int, bounces: int, seed: int, threads: int = 0) -> tuple[Vpls, int]:
-        """`trace_particles`, whose particles are those of the last frame as long as nothing but the camera has changed."""
+        """`trace_by_power`, whose particles are those of the last frame as long as nothing but the camera has changed."""
         key = count, bounces, seed
         if key not in self._particles:
             while len(self._particles) >= PARTICLES_KEPT:
                 del self._particles[next(iter(self._particles))]
-            self._particles[key] = trace_particles(tables, count, bounces, seed, threads)
+            self._particles[key] = trace_by_power(tables, count, bounces, seed, threads)
             self.built["particles"] += 1
         vpls, rays = self._particles[key]
         return vpls._replace(flux=vpls.flux.copy()), rays  # whose light the caller shares out

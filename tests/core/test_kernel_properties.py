@@ -13,7 +13,7 @@ from lumigate.core.lamps import build_emitters, direct_irradiance
 from lumigate.core.lamps.solid_angle import rectangle_angle, triangle_angle
 from lumigate.core.methods.instant_radiosity import InstantRadiosity, geometry_terms
 from lumigate.core.metrics import bias, net_relmse
-from lumigate.core.particles import Vpls, trace_particles
+from lumigate.core.particles import Vpls, trace_by_power, trace_particles
 from lumigate.core.rays import RayScene
 from lumigate.core.sampling.maps import cosine_hemisphere
 from lumigate.core.surfaces.microfacet import reflection, sample_reflection
@@ -171,6 +171,32 @@ def test_particles_carry_the_power_of_the_lamp_from_bounce_to_bounce(build, albe
     assert carried[0] == pytest.approx(albedo * 4 * np.pi * 3.0, rel=1e-4)  # 3 W/sr in all directions
     # Survivors are a whole number, their weights its inverse share: nothing is lost or won.
     np.testing.assert_allclose(carried[1:], np.multiply(carried[:-1], albedo), rtol=1e-4)
+
+
+def test_particles_by_power_carry_as_much_in_lights_more_alike(build):
+    # A lamp in a white room with a small door to a dark yard where three more stand: by number few particles go on.
+    x, y = np.eye(3)[:2]
+    room, yard = build.icosphere(2), build.icosphere(2)
+    vertices = np.concatenate([room[0], yard[0] * 5 + 20 * x])
+    triangles = np.concatenate([room[1], yard[1] + len(room[0])])
+    material = np.repeat([0, 1], [len(room[1]), len(yard[1])])
+    places = [0.1 * y, *(20 * x + k * y for k in (-1, 0, 1))]
+    lamps = build.lamps(*(build.lamp(sc.POINT, 3.0, tuple(at)) for at in places))
+    scene = build.scene(build.geometry(vertices, triangles, material=material), build.materials((0.8, 0.0), (0.02, 0.0)), lamps=lamps)
+    carried, spread, alike = {}, {}, {}
+    with RayScene(scene.geometry.vertices, scene.geometry.triangles) as rays:
+        tables = transport(scene.geometry, scene.materials.tables, rays.tables, build_emitters(scene))
+        for tracer in (trace_particles, trace_by_power):
+            runs = [tracer(tables, 2048, 4, seed=seed, threads=1)[0] for seed in range(24)]
+            light = np.array([[v.flux[v.bounce == k].sum(dtype=np.float64) / 3 for k in range(1, 5)] for v in runs])
+            later = [v.flux[v.bounce > 1, 0].astype(np.float64) for v in runs]
+            alike[tracer] = np.mean([flux.sum() ** 2 / (flux**2).sum() for flux in later])
+            carried[tracer], spread[tracer] = light.mean(axis=0), light.std(axis=0) / len(runs) ** 0.5
+    power = 4 * np.pi * 3.0
+    expected = [power * (0.8**k + 3 * 0.02**k) for k in range(1, 5)]
+    for tracer in (trace_particles, trace_by_power):
+        assert (np.abs(carried[tracer] - expected) < 4 * spread[tracer] + 1e-3 * np.array(expected)).all()
+    assert alike[trace_by_power] > 2 * alike[trace_particles]  # so many lights of one power would be as good
 
 
 @EXAMPLES
