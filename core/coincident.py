@@ -18,6 +18,8 @@ from .transport import Transport
 from .view.points import ShadingPoints
 
 MOST_NAMES = 3  # in a warning
+MOST_CELLS = 64  # that a triangle is listed in, on average
+MOST_IN_A_CELL = 1024  # triangles, on average: a plane with more, all across each other, is left as it is
 # Of its coordinate: a quarter of a last place, by which that of a triangle across an axis may differ here, and does not in Cycles.
 FLAT = 2.0**-25
 
@@ -31,13 +33,34 @@ def _across_axes(vertices, triangles, wanted, origin, index, axis_of, place):
             continue
         a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
         for axis in range(3):
+            # Of three, one that is no number makes the last comparison false.
             x, y, z = vertices[a, axis] + origin[axis], vertices[b, axis] + origin[axis], vertices[c, axis] + origin[axis]
-            low, high = min(x, y, z), max(x, y, z)
-            if high - low <= FLAT * max(abs(low), abs(high)):
-                index[n], axis_of[n], place[n] = k, axis, np.float32(0.5 * (low + high))
+            apart = max(abs(x - y), abs(y - z), abs(z - x)) + 0.0 * (x + y + z)
+            if apart <= FLAT * (abs(x) + abs(y) + abs(z)) * (1 / 3):
+                index[n], axis_of[n], place[n] = k, axis, np.float32(0.5 * (min(x, y, z) + max(x, y, z)))
                 n += 1
                 break
     return n
+
+
+@leaf
+def _cell(value, low, scale, side):
+    """The cell of a coordinate among `side`; 0 for what is no number."""
+    at = (value - low) * scale
+    return np.int64(min(at, side - 1.0)) if at > 0 else np.int64(0)
+
+
+@leaf
+def _box(corners, k, low_x, low_y, scale_x, scale_y, side):
+    """The cells that the box of a triangle meets: x0, x1, y0, y1."""
+    ax, bx, cx = corners[k, 0, 0], corners[k, 1, 0], corners[k, 2, 0]
+    ay, by, cy = corners[k, 0, 1], corners[k, 1, 1], corners[k, 2, 1]
+    return (
+        _cell(min(ax, bx, cx), low_x, scale_x, side),
+        _cell(max(ax, bx, cx), low_x, scale_x, side),
+        _cell(min(ay, by, cy), low_y, scale_y, side),
+        _cell(max(ay, by, cy), low_y, scale_y, side),
+    )
 
 
 @leaf
@@ -69,17 +92,23 @@ def _mark_covered(corners, start, covered):
             for c in range(3):
                 low_x, high_x = min(low_x, corners[k, c, 0]), max(high_x, corners[k, c, 0])
                 low_y, high_y = min(low_y, corners[k, c, 1]), max(high_y, corners[k, c, 1])
+        # Each cell lists the triangles whose boxes meet it; of wide boxes, as in a fan, fewer cells are made.
         side = max(1, int((end - begin) ** 0.5))
-        scale_x, scale_y = side / max(high_x - low_x, 1e-30), side / max(high_y - low_y, 1e-30)
-        # Each cell lists the triangles whose boxes meet it: counted first, then filled in.
-        first = np.zeros(side * side + 1, np.int64)
-        listed = np.empty(0, np.int64)
-        for turn in range(2):
+        while True:
+            scale_x, scale_y = side / max(high_x - low_x, 1e-30), side / max(high_y - low_y, 1e-30)
+            listings = 0
             for k in range(begin, end):
-                x0 = min(side - 1, int((min(corners[k, 0, 0], corners[k, 1, 0], corners[k, 2, 0]) - low_x) * scale_x))
-                x1 = min(side - 1, int((max(corners[k, 0, 0], corners[k, 1, 0], corners[k, 2, 0]) - low_x) * scale_x))
-                y0 = min(side - 1, int((min(corners[k, 0, 1], corners[k, 1, 1], corners[k, 2, 1]) - low_y) * scale_y))
-                y1 = min(side - 1, int((max(corners[k, 0, 1], corners[k, 1, 1], corners[k, 2, 1]) - low_y) * scale_y))
+                x0, x1, y0, y1 = _box(corners, k, low_x, low_y, scale_x, scale_y, side)
+                listings += (x1 - x0 + 1) * (y1 - y0 + 1)
+            if side == 1 or listings <= MOST_CELLS * (end - begin):
+                break
+            side //= 2
+        if listings > MOST_IN_A_CELL * side * side:
+            continue
+        first, listed = np.zeros(side * side + 1, np.int64), np.empty(listings, np.int64)
+        for turn in range(2):  # counted, then filled in
+            for k in range(begin, end):
+                x0, x1, y0, y1 = _box(corners, k, low_x, low_y, scale_x, scale_y, side)
                 for y in range(y0, y1 + 1):
                     for x in range(x0, x1 + 1):
                         cell = y * side + x
@@ -91,7 +120,6 @@ def _mark_covered(corners, start, covered):
             if turn == 0:
                 for cell in range(side * side):
                     first[cell + 1] += first[cell]
-                listed = np.empty(first[-1], np.int64)
         # Filled cells begin where their predecessor does now.
         for k in range(begin, end):
             hidden = True
@@ -108,7 +136,7 @@ def _mark_covered(corners, start, covered):
                         wc = 0.8
                 x = wa * corners[k, 0, 0] + wb * corners[k, 1, 0] + wc * corners[k, 2, 0]
                 y = wa * corners[k, 0, 1] + wb * corners[k, 1, 1] + wc * corners[k, 2, 1]
-                cell = min(side - 1, int((y - low_y) * scale_y)) * side + min(side - 1, int((x - low_x) * scale_x))
+                cell = _cell(y, low_y, scale_y, side) * side + _cell(x, low_x, scale_x, side)
                 met = False
                 for at in range(first[cell - 1] if cell > 0 else 0, first[cell]):
                     if listed[at] != k and _within(corners, listed[at], x, y, least):

@@ -91,3 +91,15 @@ def test_no_light_comes_from_them(build):
         made = build.scene(build.geometry(*build.quads(*quads)), build.materials((0.8, 0)), lamps=light)
         means.append(render(made, RenderSettings(pixel_samples=4)).layers["DiffuseIndirect"][6:10, 6:10].mean())
     assert means[0] > 0 and means[1] < 0.02 * means[0]
+
+
+@pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf, 3e38, -3e38, 1e-42])
+def test_coordinates_that_are_no_use_do_no_harm(odd):
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        quads = [moved(0, 0, 0), moved(0, 0, 0), *(SQUARE * rng.uniform(0.5, 2) for _ in range(4))]
+        for quad in quads[2:]:
+            quad[rng.integers(4), rng.integers(3)] = odd
+        made = arrays.scene(arrays.geometry(*arrays.quads(*quads)), arrays.materials((0.5, 0)))
+        at = coincident(made)
+        assert {0, 1, 2, 3} <= set(at.tolist()) and ((at >= 0) & (at < 12)).all()
