@@ -2,8 +2,8 @@
 
 Cycles' rays leave a triangle without an offset and leave out that triangle alone, so that one which shares its place with another is
 black, in direct and in indirect light, wherever rounding does not lift the ray's origin off it by chance: always in a plane across an
-axis of the world, whose coordinate is exact.  (Measured with Cycles 4.5 and 5.2, for all six directions: tests/headless/test_coincident.py.
-In other planes about half of the light gets through, and much of the rest comes back by the other face.)  Such faces are black here, too:
+axis of the world, whose coordinate is exact.  (Measured with Cycles 4.5 for all six directions; tests/headless/test_coincident.py does
+so for three, with 5.2, too.  In other planes about half of the light gets through, and much of the rest comes back by the other face.)  Such faces are black here, too:
 layers of both renderers are added up, and have to show the same.
 """
 

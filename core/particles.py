@@ -290,7 +290,7 @@ def trace_by_power(
     """The same light by VPLs that are more alike: which particles go on is told by what each carries, not by its number.
 
     Where most particles land on something dark, as from a sun on the ground around a house, few go on by number, and the
-    later bounces are a few lights of 20 to 100 times the power of the others.  Arguments and values as `trace_particles`.
+    later bounces are a few lights of 10 to 100 times the power of the others.  Arguments and values as `trace_particles`.
     """
     return _fly(scene, particles, bounces, seed, threads, progress, by_power=True)
 

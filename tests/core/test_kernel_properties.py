@@ -174,7 +174,7 @@ def test_particles_carry_the_power_of_the_lamp_from_bounce_to_bounce(build, albe
 
 
 def test_particles_by_power_carry_as_much_in_lights_more_alike(build):
-    # A lamp in a white room with a small door to a dark yard where three more stand: by number few particles go on.
+    # A lamp in a white sphere, and three in a dark one, where most particles land: by number few go on.
     x, y = np.eye(3)[:2]
     room, yard = build.icosphere(2), build.icosphere(2)
     vertices = np.concatenate([room[0], yard[0] * 5 + 20 * x])
