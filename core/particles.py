@@ -31,7 +31,17 @@ from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
 from .scene import DIFFUSE, GLOSSY_LOBE, SHADOW, TRANSPARENT
-from .surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSPARENCY, diffuse_albedo_average, glossy_albedo, passing_chance
+from .surfaces.layout import (
+    GLOSSY_F0,
+    GLOSSY_F90,
+    ROUGHNESS,
+    SURFACE,
+    TRANSPARENCY,
+    WIDE,
+    diffuse_albedo_average,
+    glossy_albedo,
+    passing_chance,
+)
 from .surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
 from .surfaces.normals import shading_normal, surface_side
 from .surfaces.program import new_registers
@@ -56,7 +66,8 @@ class Vpls(NamedTuple):
     geometric normal in any case.  flux: (M, 3) float32, W leaving (what
     the surface itself hides of a glossy reflection included); the irradiance at a point x is flux / pi * cos cos' / r^2.
     emitter: (M,) int32, where the light came from.  bounce: (M,) int32, 1 for light that left one surface.
-    side: (M,) int32, of the surface, as `surface_side` has it.
+    side: (M,) int32, of the surface, as `surface_side` has it.  shine: (M,) uint8, 1 where a lamp's light was reflected by a glossy lobe that
+    is not `layout.WIDE`.
     """
 
     position: np.ndarray
@@ -67,12 +78,13 @@ class Vpls(NamedTuple):
     emitter: np.ndarray
     bounce: np.ndarray
     side: np.ndarray
+    shine: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> Vpls:
         """Room for n lights, not set."""
         f, e = np.float32, np.empty
-        return Vpls(e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32), e(n, np.int32))
+        return Vpls(e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e((n, 3), f), *(e(n, np.int32) for _ in range(3)), e(n, np.uint8))
 
     def take(self, index) -> Vpls:
         """The lights at `index` (anything that indexes an array)."""
@@ -255,6 +267,7 @@ def _trace_particles(scene, begin, end, survivors, least, bounces, seed, vpls):
                     vpls.emitter[n] = emitter[lane]
                     vpls.bounce[n] = bounce + 1
                     vpls.side[n] = surface_side(scene.material[triangle], behind)
+                    vpls.shine[n] = glossy and bounce == 0 and surface[ROUGHNESS] < WIDE
                     n += 1
                     if bounce + 1 < len(survivors) and i < survivors[bounce + 1]:
                         more = np.float32(survivors[bounce] / survivors[bounce + 1])

@@ -56,7 +56,7 @@ from ..vpl_pool import BATCH_SEED, Particles, vpl_pool
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
-from .light_cache import DEPTH, NEAR, LightCache, add_known, build_light_cache, find_cell, look_up
+from .light_cache import DEPTH, NEAR, LightCache, build_light_cache, find_cell, look_up
 from .probes import Tracer, trace_probes
 from .tails import path_light
 
@@ -172,22 +172,26 @@ def _gathered(
         cell = find_cell(
             cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
         )  # fmt: skip
+        sheen = _1
         if cell >= 0:
-            bright = cache.bright[cell]
-            if bright > 0:
-                cos_x = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
-                rest = _1 - bright / (bright + cache.tau) * min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
-                wr, wg, wb = wr * rest, wg * rest, wb * rest
+            cos_x = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
+            clamped = min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
             if t > near:
-                add_known(cache, bounces - 1, cell, wr, wg, wb, out, k)
+                for c in range(0, out.shape[1], 3):
+                    out[k, c] += wr * (cache.sent[cell, c] - clamped * cache.lit[cell, c])
+                    out[k, c + 1] += wg * (cache.sent[cell, c + 1] - clamped * cache.lit[cell, c + 1])
+                    out[k, c + 2] += wb * (cache.sent[cell, c + 2] - clamped * cache.lit[cell, c + 2])
                 continue
+            rest = _1 - clamped * cache.share[cell]
+            wr, wg, wb = wr * rest, wg * rest, wb * rest
+            sheen = (_1 - clamped) / rest if rest > _0 else _0
         evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
         if sx * gx + sy * gy + sz * gz < 0:
             sx, sy, sz = -sx, -sy, -sz
         path_light(
             scene, single, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, bounces, seed, path,
-            out, k, wr, wg, wb,
+            out, k, wr, wg, wb, sheen,
         )  # fmt: skip
 
 
@@ -346,7 +350,7 @@ class ImportanceSampling:
         # Where the view's light comes from last: there the particles are wanted.
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
         self.cache: LightCache = build_light_cache(
-            probes, self.bounces + has_lobes(points), self.seed, self.threads, part(progress, 0.6, 1.0)
+            probes, self.bounces + has_lobes(points), self.seed, self.threads, part(progress, 0.6, 1.0), gathered=self.bounces
         )
         self.near = np.float32(NEAR * self.cache.size)
         return rays
@@ -354,10 +358,10 @@ class ImportanceSampling:
     def shares(self, vpls: Vpls) -> np.ndarray:
         """Part of each VPL's light that is the virtual lights' to carry where G is below the clamp, (M,) float32."""
         cell = look_up(self.cache, vpls.position, vpls.surface_normal, vpls.side, self.seed + 2)
-        bright = (
-            np.where(cell >= 0, self.cache.bright[np.maximum(cell, 0)], np.float32(0)) if len(self.cache.bright) else np.zeros(len(cell))
-        )
-        return (bright / (bright + self.cache.tau)).astype(np.float32)
+        share = self.cache.share[cell] if len(self.cache.share) else np.zeros(len(cell), np.float32)
+        share = np.where(cell >= 0, share, np.float32(0))
+        # What a glossy surface reflects of the lamps has a direction, which the cache does not know.
+        return np.where((vpls.shine > 0) & (cell >= 0), np.float32(1), share)
 
     def prepare(
         self,

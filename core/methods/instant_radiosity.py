@@ -117,7 +117,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
     found = np.empty(WIDTH, np.int32)
     hit_uv = np.empty((WIDTH, 2), np.float32)
     share = _1 / np.float32(samples)
-    near = np.float32(NEAR) * cache.size if len(cache.bright) > 0 else np.float32(np.inf)
+    near = np.float32(NEAR) * cache.size if len(cache.share) > 0 else np.float32(np.inf)
     rays = 0
     for base in range(begin, end, WIDTH):
         lanes = min(WIDTH, end - base)
@@ -208,6 +208,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                     w * wr,
                     w * wg,
                     w * wb,
+                    _1,
                 )
     return rays
 

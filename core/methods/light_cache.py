@@ -30,9 +30,8 @@ LATER = np.float32(0.2)  # weight of probes that no visible point has met itself
 NEAR = 2.0  # cells: surfaces nearer than this are not looked up but followed on
 BALANCE = np.float32(50.0)  # probes of mean brightness that the balance of the whole view counts for in each place
 MOST_BALANCE = np.float32(1.5)
-GUIDES = 4  # every so-manyth path tells how bright cells are
-GUIDE_PRIOR = 4.0
-# A cell never counts as dimmer than this part of what it gives to gather rays.  Where the guides missed what the other probes
+BRIGHT_PRIOR = 4.0  # probes that a coarser cell counts as where it tells how bright a finer one is
+# A cell never counts as dimmer than this part of what it gives to gather rays.  Where one half of the paths missed what the other one
 # found, gather rays would carry rare bright light: sparks, and light that coarse cells smear over edges.
 LEAST_BRIGHT = np.float32(0.125)
 MOST_TURNS = 8  # of glossy reflections in the cache
@@ -50,6 +49,7 @@ class Probes(NamedTuple):
 
     position, normal: (N, 3) float32, the geometric normal on the side that was met.
     direct: (N, 3 G) float32, pi times the radiance towards the path by direct light, one sample (W/m^2), by light groups.
+    shine: (N, 3 G) float32, the part of it that a glossy lobe has reflected, spread as by a diffuse one.
     carry: (N, 3) float32, the same for each unit that the linked surface sends.
     link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
     reflection, 2 by a glossy one.  side, link_side: (N,) int32, as `surface_side` has them.
@@ -59,6 +59,7 @@ class Probes(NamedTuple):
     position: np.ndarray
     normal: np.ndarray
     direct: np.ndarray
+    shine: np.ndarray
     carry: np.ndarray
     link_position: np.ndarray
     link_normal: np.ndarray
@@ -71,7 +72,7 @@ class Probes(NamedTuple):
     @staticmethod
     def allocate(n: int, light_groups: int = 1) -> Probes:
         """Room for n probes, none of them valid."""
-        rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, 3 * light_groups, 3, 3, 3)]
+        rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, 3 * light_groups, 3 * light_groups, 3, 3, 3)]
         sides = [np.zeros(n, np.int32) for _ in range(2)]
         return Probes(*rows, np.zeros(n, np.uint8), *sides, np.zeros(n, np.float32), np.zeros(n, np.uint8))
 
@@ -82,8 +83,10 @@ class LightCache(NamedTuple):
     origin: (3,) float32.  size: float32, side of the finest cells (m).
     keys: (T,) uint64, slot: (T,) int32, cell of a key, -1 where the slot is free; T is a power of two.
     radiosity: (B, C, 3 G) float32 W/m^2, in row b the light that left up to b + 1 surfaces, by light groups.
-    bright: (C,) float32, mean of the channels of the radiosity, from other paths (nearly): weights that
-        hang on it are independent of the radiosity's noise, and so do not bias the product.
+    sent: (C, 3 G) float32 W/m^2, the row that gather rays look up again, the mean of what either half of the paths tells of it.
+    lit: (C, 3 G) float32 W/m^2, the part of `sent` that virtual lights carry to where their geometry term is not clamped.  How bright a
+        cell is, on which that hangs, is told for each half by the other one (nearly): the product has no bias by their noise.
+    share: (C,) float32, how much of a virtual light's flux that is.
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
     """
 
@@ -92,7 +95,9 @@ class LightCache(NamedTuple):
     keys: np.ndarray
     slot: np.ndarray
     radiosity: np.ndarray
-    bright: np.ndarray
+    sent: np.ndarray
+    lit: np.ndarray
+    share: np.ndarray
     tau: np.float32
 
 
@@ -105,6 +110,8 @@ def no_cache() -> LightCache:
         np.zeros(1, np.uint64),
         np.full(1, -1, np.int32),
         none.reshape(1, 0, 3),
+        none.reshape(0, 3),
+        none.reshape(0, 3),
         none,
         np.float32(1),
     )
@@ -249,43 +256,65 @@ def _links(probes, cache, begin, end, seed, link_cell):
 
 def _solve(
     probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, level_of: np.ndarray,
-    near: np.float32, radiosity: np.ndarray, threads: int, go_on: Callable[[float], None],
-) -> None:  # fmt: skip
+    near: np.float32, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, threads: int, go_on: Callable[[float], None],
+) -> np.ndarray:  # fmt: skip
     """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
 
-    cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
+    halves: (2, C, 3 G), its `row` again, as half of the paths tell it;  shine: (2, C, 3 G), the part of that which came from lamps
+    and was reflected by a glossy lobe.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
+
+    Returns (2, C) float32: how much of each cell either half knows, 1 in all.
     """
     count, turns = len(parent), _glossy_turns(probes)
     order = np.argsort(-level_of.astype(np.int64), kind="stable")
     root = np.arange(count)
     for _ in range(LEVELS - 1):
         root = np.where(parent[root] >= 0, parent[root], root)
-    row = np.arange(len(probes.valid))
-    knows = np.flatnonzero((probes.valid > 0) & ((row // DEPTH) % GUIDES != 0))
+    knows = np.flatnonzero(probes.valid > 0)
+    half = _half(knows)
     weight = np.where((knows % DEPTH == 0) & (probes.distance[knows] > near), _1, LATER)
-    direct, number, squares, unit, linked = (np.zeros((count, k), np.float32) for k in (probes.direct.shape[1], 1, 2, 1, 1))
+    linked = weight * (link_cell[knows] != -1)
     places = np.ascontiguousarray(cells[knows].T)
+    parts = [(np.ascontiguousarray(places[:, half == h]), np.flatnonzero(half == h)) for h in range(2)]
+
+    def summed(values: np.ndarray) -> np.ndarray:
+        """Sums (2, C, K) over the probes of each cell, of either half of the paths."""
+        sums = np.zeros((2, count, values.shape[1]), np.float32)
+        for (where, rows), out in zip(parts, sums, strict=True):
+            _add(where, values[rows], out, threads)
+        return sums
+
     light = probes.direct[knows]
     bright = _THIRD * light.sum(axis=1)
-    _add(places, weight[:, None] * light, direct, threads)
-    _add(places, weight[:, None], number, threads)
-    _add(places, (weight * (link_cell[knows] != -1))[:, None], linked, threads)
-    _add(places, np.column_stack([weight * bright * bright, weight * weight]), squares, threads)
-    number, linked = number[:, 0], linked[:, 0]
+    direct_of, number_of, linked_of = summed(weight[:, None] * light), summed(weight[:, None])[..., 0], summed(linked[:, None])[..., 0]
+    squares = summed(np.column_stack([weight * bright * bright, weight * weight])).sum(axis=0)
+    direct, number = direct_of.sum(axis=0), number_of.sum(axis=0)
     unit = np.divide(squares[:, 1], number, out=np.ones(count, np.float32), where=number > 0)
     likeness = _likeness(parent, level_of, number, squares, _THIRD * direct.sum(axis=1))
     _smooth(direct, number, unit, parent, order, likeness)
+    shiny = bool(probes.shine.any())
+    if shiny:
+        shine[:] = summed(weight[:, None] * probes.shine[knows])
+    # Half of the probes know half as much, of what is around them, too.
+    half_likeness = _HALF * likeness
+    for h in range(2):
+        _smooth(direct_of[h], number_of[h], unit, parent, order, half_likeness)
+        if shiny:
+            _smooth(shine[h], number_of[h], unit, parent, order, half_likeness)
     sending = link_cell[knows] >= 0
-    places, link = np.ascontiguousarray(places[:, sending]), link_cell[knows[sending]]
+    link, sends = link_cell[knows[sending]], np.cumsum(sending) - 1
     carry = weight[sending, None] * probes.carry[knows[sending]]
     glossy = probes.link[knows[sending]] == GLOSSY_LINK
+    places = np.ascontiguousarray(places[:, sending])
+    parts = [(np.ascontiguousarray(places[:, half[sending] == h]), sends[sending & (half == h)]) for h in range(2)]
     looked = knows[(knows % DEPTH == 0) & (probes.distance[knows] > near) & (link_cell[knows] != -1) & (seen_cell[knows] >= 0)]
     looked_up = (
         probes.direct[looked].sum(axis=1), seen_cell[looked], probes.carry[looked], link_cell[looked], probes.link[looked] == GLOSSY_LINK,
     )  # fmt: skip
     trust = np.float32(BALANCE / max(1, len(probes.valid) // DEPTH))
     likeness[:] = PRIOR
-    sums = np.zeros((count, 2), np.float32)
+    sums, scale = np.zeros((count, 2), np.float32), np.ones((count, 1), np.float32)
+    linked = linked_of.sum(axis=0)
     carried = np.empty((len(link), direct.shape[1]), np.float32)
     # Glossy links take no bounce: what they carry is found turn by turn.
     schedule = [(bounce, first) for bounce in range(len(radiosity)) for first in _turns(turns, bounce)]
@@ -293,14 +322,31 @@ def _solve(
         go_on(0.4 + 0.6 * step / len(schedule))
         if first and turns > 1 and bounce > 0:
             radiosity[bounce] = radiosity[bounce - 1]
-        total = np.zeros_like(direct)
         run_chunks(
             lambda begin, end, bounce=bounce: _carry(link, carry, glossy, radiosity, bounce, begin, end, carried), len(link), CHUNK, threads
         )
-        _add(places, carried, total, threads)
+        gathered = bounce == row and (step + 1 == len(schedule) or schedule[step + 1][0] > row)
+        if gathered:
+            halves[:] = summed(carried)
+            total = halves.sum(axis=0)
+        else:
+            total = np.zeros_like(direct)
+            _add(places, carried, total, threads)
         _smooth(total, linked, unit, parent, order, likeness)
         np.add(direct, total, out=radiosity[bounce])
-        _balance(*looked_up, root, trust, bounce, radiosity, sums)
+        _balance(*looked_up, root, trust, bounce, radiosity, sums, scale)
+        if gathered:
+            for h in range(2):
+                _smooth(halves[h], linked_of[h], unit, parent, order, _HALF * likeness)
+            halves += direct_of
+            halves *= scale
+            shine *= scale
+    return number_of / np.maximum(number, np.float32(1e-6))
+
+
+def _half(probes: np.ndarray) -> np.ndarray:
+    """To which half of the paths probes belong, 0 or 1."""
+    return (probes // DEPTH) % 2
 
 
 def _add(places: np.ndarray, values: np.ndarray, out: np.ndarray, threads: int) -> None:
@@ -342,12 +388,13 @@ def _carried(carry, i, radiosity, row, cell):
 
 
 @kernel
-def _balance(sent, seen, carry, link, glossy, root, trust, bounce, radiosity, sums):
+def _balance(sent, seen, carry, link, glossy, root, trust, bounce, radiosity, sums, scale):
     """Scales the cells of each coarsest one so that lookups find as much light there as the probes themselves sent.
 
     What is looked up from afar lies brighter than what hides close by; smoothing over both takes from the first.
     sent: (M,) the direct light of the probes that may be looked up, sum of the channels.  seen: (M,) the cell that a lookup finds
     there.  link: (M,) negative where nothing is met.  trust: probes of mean brightness that the whole view counts for.
+    scale: (C, 1), becomes the factors.
     """
     sums[:] = _0
     for i in range(len(sent)):
@@ -373,6 +420,7 @@ def _balance(sent, seen, carry, link, glossy, root, trust, bounce, radiosity, su
         factor = min(MOST_BALANCE, max(_1 / MOST_BALANCE, factor))
         for k in range(radiosity.shape[2]):
             radiosity[bounce, c, k] *= factor
+        scale[c, 0] = factor
 
 
 def _likeness(parent: np.ndarray, level_of: np.ndarray, number: np.ndarray, squares: np.ndarray, light: np.ndarray) -> np.ndarray:
@@ -425,17 +473,11 @@ def _smooth(values, number, unit, parent, order, likeness):
                 values[c, k] += weight * values[up, k]
 
 
-@inlined
-def _guides(p):
-    """Whether probe p belongs to the paths that tell how bright a cell is: other ones than those that its light is from."""
-    return (p // DEPTH) % GUIDES == 0
-
-
 @kernel
-def _brightness(probes, cells, link_cell, parent, level_of, prior, radiosity, bright, number):
-    """Mean of the channels of the radiosity (C,) of all cells, by the guiding probes' own samples."""
+def _brightness(probes, half, cells, link_cell, parent, level_of, prior, radiosity, bright, number):
+    """Mean of the channels of the radiosity (C,) of all cells, by the own samples of the probes of one half (N,) of the paths."""
     for p in range(len(probes.valid)):
-        if not probes.valid[p] or not _guides(p) or link_cell[p] == -1:
+        if not probes.valid[p] or not half[p] or link_cell[p] == -1:
             continue
         light = _0
         for k in range(probes.direct.shape[1]):
@@ -480,8 +522,12 @@ def _size_for(probes: Probes, origin: np.ndarray, size: float, low: float, high:
     return size
 
 
-def build_light_cache(probes: Probes, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None) -> LightCache:
+def build_light_cache(
+    probes: Probes, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None, *, gathered: int | None = None
+) -> LightCache:
     """Cells that hold what the probes know of light that left 1 to `bounces` surfaces.
+
+    gathered: how many of them the light has left that gather rays look up, None for `bounces`.
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -510,16 +556,29 @@ def build_light_cache(probes: Probes, bounces: int, seed: int, threads: int = 0,
     go_on(0.3)
     level_of, centre, side_of = level_of[:count].copy(), centre[:count].copy(), side_of[:count].copy()
     radiosity = np.zeros((bounces, count, probes.direct.shape[1]), np.float32)
-    cache = LightCache(origin, size, keys, slot, radiosity, np.zeros(count, np.float32), np.float32(1))
+    halves, shine = (np.zeros((2, count, probes.direct.shape[1]), np.float32) for _ in range(2))
+    cache = LightCache(origin, size, keys, slot, radiosity, halves[0], shine[0], np.zeros(count, np.float32), np.float32(1))
     parent = _parents(cache, level_of, centre, side_of)
     link_cell = np.empty(len(probes.valid), np.int64)
     run_chunks(lambda begin, end: _links(probes, cache, begin, end, np.uint32(seed), link_cell), len(link_cell), CHUNK, threads)
     seen_cell = look_up(cache, probes.position, probes.normal, probes.side, seed + 3, threads)
     go_on(0.4)
-    _solve(probes, cells, link_cell, seen_cell, parent, level_of, np.float32(NEAR * size), radiosity, threads, go_on)
-    _brightness(probes, cells, link_cell, parent, level_of, np.float32(GUIDE_PRIOR), radiosity, cache.bright, np.zeros(count, np.float32))
-    np.maximum(cache.bright, LEAST_BRIGHT * _THIRD * radiosity[-1].sum(axis=1), out=cache.bright)
-    return cache._replace(tau=np.float32(max(seen_light(cache, probes, seed + 1), 1e-30)))
+    row = (bounces if gathered is None else gathered) - 1
+    counts = _solve(
+        probes, cells, link_cell, seen_cell, parent, level_of, np.float32(NEAR * size), radiosity, row, halves, shine, threads, go_on
+    )
+    tau = np.float32(max(seen_light(cache, probes, seed + 1), 1e-30))
+    lit, share, half = np.zeros_like(shine[0]), np.zeros(count, np.float32), _half(np.arange(len(probes.valid)))
+    for h in range(2):
+        bright = np.zeros(count, np.float32)
+        _brightness(
+            probes, half != h, cells, link_cell, parent, level_of, np.float32(BRIGHT_PRIOR), radiosity, bright, np.zeros(count, np.float32)
+        )  # fmt: skip
+        np.maximum(bright, LEAST_BRIGHT * _THIRD * halves[h].sum(axis=1), out=bright)
+        part = counts[h] * bright / (bright + tau)
+        lit += part[:, None] * halves[h] + (counts[h] - part)[:, None] * shine[h]
+        share += part
+    return cache._replace(sent=np.einsum("hc,hck->ck", counts, halves), lit=lit, share=share, tau=tau)
 
 
 def _glossy_turns(probes: Probes) -> int:
@@ -568,4 +627,4 @@ def seen_light(cache: LightCache, probes: Probes, seed: int) -> float:
     first = slice(0, None, DEPTH)
     cell = look_up(cache, probes.position[first], probes.normal[first], probes.side[first], seed)
     found = (probes.valid[first] > 0) & (cell >= 0)
-    return float(np.where(found, _THIRD * cache.radiosity[-1].sum(axis=1)[np.maximum(cell, 0)] if len(cache.bright) else 0.0, 0.0).mean())
+    return float(np.where(found, _THIRD * cache.radiosity[-1].sum(axis=1)[np.maximum(cell, 0)] if len(cache.share) else 0.0, 0.0).mean())

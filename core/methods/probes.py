@@ -74,7 +74,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
         probes.normal[probe, 0], probes.normal[probe, 1], probes.normal[probe, 2] = gx, gy, gz
         tx, ty, tz, r, g, b, kinds = scatter_light(
             scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, LAMP_RAYS, True, seed, path, at,
-            probes.direct, probe, _1, _1, _1,
+            probes.direct, probes.shine, probe, _1, _1, _1, _1,
         )  # fmt: skip
         rays += LAMP_RAYS
         probes.carry[probe, 0], probes.carry[probe, 1], probes.carry[probe, 2] = r, g, b
@@ -113,4 +113,5 @@ def trace_probes(
         return _probe_chunk(scene, points, start, begin, end, DEPTH, np.uint32(seed), probes)
 
     rays = sum(run_chunks(work, paths, CHUNK, threads, progress))
+    np.add(probes.direct, probes.shine, out=probes.direct)
     return probes, rays

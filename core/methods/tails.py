@@ -5,7 +5,7 @@ glossy reflections, a short path tracer continues from the hit: direct light at 
 diffuse or its glossy lobe to the next one.  Never blind to contact.
 
 Of the lamps' light a glossy lobe reflects its true share, but spread as by a diffuse one: a path that finds a small lamp
-in a narrow lobe by chance would be all noise.
+in a narrow lobe by chance would be all noise.  Where virtual lights stand for it, which know its direction, it is left to them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..sampling.hashing import uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE, GLOSSY
 from ..surfaces import layout
-from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, diffuse_albedo, glossy_rise
+from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, WIDE, diffuse_albedo, glossy_rise
 from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, sample_lobe, set_lobe
 from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import new_registers
@@ -43,13 +43,14 @@ DIMENSIONS = 100
 @leaf
 def scatter_light(
     scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, lamp_rays, diffuse, seed, path, at,
-    out, i, kr, kg, kb,
+    out, shine, i, kr, kg, kb, sheen,
 ):  # fmt: skip
     """What a surface sends towards w at first hand, and a ray that finds the rest.
 
     (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
     overwritten.  lobe: (LOBE,) float32, scratch.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn.  at: first dimension.
-    out: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i.
+    out, shine: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, and of a
+    `WIDE` glossy one, to that of `out`, of another glossy one, times `sheen`, to that of `shine`.
 
     Returns (dx, dy, dz, wr, wg, wb, kinds): the ray's direction, its weight and its kind, 0 where there is none.
     """
@@ -65,9 +66,18 @@ def scatter_light(
             continue
         rise = glossy_rise(cosine, roughness)
         c = 3 * scene.emitters.light_group[e]
-        out[i, c] += kr * share * r * (dr + f0r + rise * (f90r - f0r))
-        out[i, c + 1] += kg * share * g * (dg + f0g + rise * (f90g - f0g))
-        out[i, c + 2] += kb * share * b * (db + f0b + rise * (f90b - f0b))
+        r, g, b = kr * share * r, kg * share * g, kb * share * b
+        fr, fg, fb = r * (f0r + rise * (f90r - f0r)), g * (f0g + rise * (f90g - f0g)), b * (f0b + rise * (f90b - f0b))
+        r, g, b = r * dr, g * dg, b * db
+        if roughness < WIDE:
+            shine[i, c] += sheen * fr
+            shine[i, c + 1] += sheen * fg
+            shine[i, c + 2] += sheen * fb
+        else:
+            r, g, b = r + fr, g + fg, b + fb
+        out[i, c] += r
+        out[i, c + 1] += g
+        out[i, c + 2] += b
     set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b)
     glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
     dull = _THIRD * (dr + dg + db) if diffuse else _0
@@ -92,7 +102,7 @@ def scatter_light(
 @leaf
 def path_light(
     scene, packet, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, bounces, seed, path,
-    out, i, kr, kg, kb,
+    out, i, kr, kg, kb, sheen,
 ):  # fmt: skip
     """Adds one sample of pi times the radiance that a surface sends towards w, weighed by k, to row i of `out`.
 
@@ -100,6 +110,7 @@ def path_light(
 
     The arguments as in `scatter_light`.  bounces: diffuse reflections at most; the first one after a lamp counts even if it
     is glossy.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
+    sheen: how much of the lamps' light that the first surface reflects as a glossy one counts.
     out: (N, 3 G) float32 W/m^2, three columns for each light group.
     """
     wr = wg = wb = _1
@@ -108,7 +119,7 @@ def path_light(
         at = vertex * DIMENSIONS
         dx, dy, dz, tr, tg, tb, kinds = scatter_light(
             scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, 1, left > 0, seed, path, at,
-            out, i, kr * wr, kg * wg, kb * wb,
+            out, out, i, kr * wr, kg * wg, kb * wb, sheen if vertex == 0 else _1,
         )  # fmt: skip
         if kinds == 0:
             break
@@ -165,7 +176,7 @@ def _tail_chunk(scene, cache, near, points, begin, end, bounces, seed, out):
             scene, packet, rows, surface, lobe, cache, near, points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
             points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], bounces, seed, np.uint32(i),
-            out, i, weight, weight, weight,
+            out, i, weight, weight, weight, _1,
         )  # fmt: skip
 
 

@@ -31,6 +31,8 @@ NORMAL = 23  # xyz: world-space shading normal of a NORMAL_MAPPED material, else
 REFRACTION = 26  # rgb: the part of TRANSPARENCY that passes glass, which is a bounce to Cycles
 SURFACE = 29  # length
 
+# Lobes at least as rough spread light about as a diffuse one does.
+WIDE = F(0.5)
 # z of an index of refraction of 1.5, whose Fresnel curve stands for all glossy lobes in means
 _GLOSSY_Z = F(0.2**0.5)
 

@@ -18,7 +18,17 @@ def lights(n, seed=0, make=room):
     points, normals = make(n, seed)
     rng = np.random.default_rng(seed)
     flux = (10 ** rng.uniform(-5, 1, (n, 1)) * rng.random((n, 3)) * (rng.random((n, 1)) > 0.1)).astype(np.float32)
-    return Vpls(points, np.zeros(n, np.float32), normals, normals, flux, np.zeros(n, np.int32), np.ones(n, np.int32), np.zeros(n, np.int32))
+    return Vpls(
+        points,
+        np.zeros(n, np.float32),
+        normals,
+        normals,
+        flux,
+        np.zeros(n, np.int32),
+        np.ones(n, np.int32),
+        np.zeros(n, np.int32),
+        np.zeros(n, np.uint8),
+    )
 
 
 @settings(max_examples=30, deadline=None)

@@ -226,7 +226,24 @@ def test_links_carry_light_bounce_after_bounce():
     probes.link_position[first] = probes.position[first] * (1, 1, -1) + (0, 0, 1)
     probes.link_normal[first] = -probes.normal[first]
     cache = build_light_cache(probes, 3, seed=1)
-    np.testing.assert_allclose(cache.radiosity[:, :, 0].T, np.tile([1.0, 1.5, 1.75], (len(cache.bright), 1)), rtol=1e-4)
+    np.testing.assert_allclose(cache.radiosity[:, :, 0].T, np.tile([1.0, 1.5, 1.75], (len(cache.share), 1)), rtol=1e-4)
+
+
+def test_what_lights_carry_of_a_cell_has_no_bias_by_its_noise():
+    # Each probe's sample is 1 on average, and so noisy that by a brightness told by the same probes lights would carry 7 % more than their share.
+    noise = np.random.default_rng(5).exponential(1.0, 40000)
+    cache = build_light_cache(probes_on_a_plane(40000, lambda x, y: noise), 1, seed=1)
+    finest = cache.share > 0
+    assert cache.sent[finest, 0].mean() == pytest.approx(1, rel=0.02)
+    assert cache.lit[finest, 0].mean() == pytest.approx(cache.share[finest].mean(), rel=0.03)
+
+
+def test_what_glossy_surfaces_reflect_of_lamps_is_left_to_lights():
+    probes = probes_on_a_plane(4000, lambda x, y: np.ones_like(x))
+    probes.shine[probes.valid > 0] = 0.4
+    cache = build_light_cache(probes, 1, seed=1)
+    np.testing.assert_allclose(cache.sent, 1, rtol=1e-4)
+    np.testing.assert_allclose(cache.lit[:, 0], 0.4 + 0.6 * cache.share, rtol=1e-4)
 
 
 def test_empty_scenes_have_an_empty_cache(room):
