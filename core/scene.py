@@ -202,3 +202,9 @@ class Scene:
     light_groups: tuple[str, ...] = ()
     warnings: list[str] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
+
+
+def bounds(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest and the highest coordinates (3,) of places (N, 3), N > 0: by columns, many times as fast as along the first axis."""
+    columns = places.T
+    return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])

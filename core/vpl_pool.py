@@ -17,7 +17,7 @@ from .rays.offsets import shadow_segment
 from .rays.packet import is_occluded, new_packet, set_ray
 from .rays.trace import OPAQUE, occluded_packet
 from .sampling.hashing import uniform
-from .scene import DIFFUSE
+from .scene import DIFFUSE, bounds
 from .threads import Cancelled, Progress, run_chunks
 from .transport import Transport
 from .view.points import ShadingPoints
@@ -90,7 +90,7 @@ def drop_useless(vpls: Vpls, points: ShadingPoints) -> Vpls:
     """Without the VPLs whose half-space holds no shading point (by the points' bounding box)."""
     if len(points.pixel) == 0 or len(vpls.bounce) == 0:
         return vpls
-    low, high = points.position.min(axis=0), points.position.max(axis=0)
+    low, high = bounds(points.position)
     # Of the box's corner that lies farthest ahead; by components, for sums over an axis of three are ten times as slow.
     columns = zip(vpls.position.T, vpls.normal.T, low, high)
     ahead = sum(np.maximum((above - x) * n, (below - x) * n) for x, n, below, above in columns) > 0

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..sampling.discrete import cumulative
 from ..sampling.sequences import r2_points
-from ..scene import AREA, CAMERA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, GLOSSY, POINT, SPOT, SUN, TRANSMISSION, TRANSPARENT, Scene
+from ..scene import AREA, CAMERA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, GLOSSY, POINT, SPOT, SUN, TRANSMISSION, TRANSPARENT, Scene, bounds
 from ..surfaces.batch import evaluate_batch
 from ..surfaces.layout import EMISSION
 from .groups import LightGroups
@@ -61,7 +61,7 @@ def _box(scene: Scene) -> np.ndarray:
     if not used.any():
         return np.array([[-1, -1, -1], [1, 1, 1]], np.float32)
     corners = vertices if used.all() else vertices[used]
-    low, high = corners.min(0).astype(np.float64), corners.max(0).astype(np.float64)
+    low, high = (edge.astype(np.float64) for edge in bounds(corners))
     margin = 1e-4 * np.linalg.norm(high - low) + 1e-5
     return np.stack([low - margin, high + margin]).astype(np.float32)
 

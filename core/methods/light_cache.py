@@ -19,7 +19,9 @@ import numpy as np
 from ..jit import inlined, kernel, leaf
 from ..sampling.hashing import uniform
 from ..sampling.maps import orthonormal_basis
+from ..scene import bounds
 from ..threads import Cancelled, Progress, run_chunks
+from .partition import divided
 
 DEPTH = 2  # probes a path: seen from the visible points, and from there
 PROBES_A_CELL = 2  # of the finest cells, on average
@@ -31,9 +33,6 @@ NEAR = 2.0  # cells: surfaces nearer than this are not looked up but followed on
 BALANCE = np.float32(50.0)  # probes of mean brightness that the balance of the whole view counts for in each place
 MOST_BALANCE = np.float32(1.5)
 BRIGHT_PRIOR = 4.0  # probes that a coarser cell counts as where it tells how bright a finer one is
-# A cell never counts as dimmer than this part of what it gives to gather rays.  Where one half of the paths missed what the other one
-# found, gather rays would carry rare bright light: sparks, and light that coarse cells smear over edges.
-LEAST_BRIGHT = np.float32(0.125)
 MOST_TURNS = 8  # of glossy reflections in the cache
 CHUNK = 16384  # probes a chunk
 FEW_PROBES = 16384  # which tell about the size of the cells
@@ -263,7 +262,7 @@ def _solve(
     halves: (2, C, 3 G), its `row` again, as half of the paths tell it;  shine: (2, C, 3 G), the part of that which came from lamps
     and was reflected by a glossy lobe.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
 
-    Returns (2, C) float32: how much of each cell either half knows, 1 in all.
+    Returns (2, C) float32: the weight of the probes of each cell, of either half.
     """
     count, turns = len(parent), _glossy_turns(probes)
     order = np.argsort(-level_of.astype(np.int64), kind="stable")
@@ -341,7 +340,7 @@ def _solve(
             halves += direct_of
             halves *= scale
             shine *= scale
-    return number_of / np.maximum(number, np.float32(1e-6))
+    return number_of
 
 
 def _half(probes: np.ndarray) -> np.ndarray:
@@ -539,7 +538,7 @@ def build_light_cache(
 
     n = int(probes.valid.sum())
     known = probes.position[probes.valid > 0] if n else np.zeros((1, 3), np.float32)
-    low, high = known.min(axis=0), known.max(axis=0)
+    low, high = bounds(known)
     extent = float(max((high - low).max(), 1e-6 * np.abs(known).max(), 1e-9))
     origin = (low - extent).astype(np.float32)
     size = np.float32(cell_size(probes, origin, extent, seed))
@@ -564,21 +563,19 @@ def build_light_cache(
     seen_cell = look_up(cache, probes.position, probes.normal, probes.side, seed + 3, threads)
     go_on(0.4)
     row = (bounces if gathered is None else gathered) - 1
-    counts = _solve(
+    number_of = _solve(
         probes, cells, link_cell, seen_cell, parent, level_of, np.float32(NEAR * size), radiosity, row, halves, shine, threads, go_on
     )
     tau = np.float32(max(seen_light(cache, probes, seed + 1), 1e-30))
-    lit, share, half = np.zeros_like(shine[0]), np.zeros(count, np.float32), _half(np.arange(len(probes.valid)))
+    half, bright = _half(np.arange(len(probes.valid))), np.zeros((2, count), np.float32)
     for h in range(2):
-        bright = np.zeros(count, np.float32)
         _brightness(
-            probes, half != h, cells, link_cell, parent, level_of, np.float32(BRIGHT_PRIOR), radiosity, bright, np.zeros(count, np.float32)
+            probes, half != h, cells, link_cell, parent, level_of, np.float32(BRIGHT_PRIOR), radiosity, bright[h], np.zeros(count, np.float32)
         )  # fmt: skip
-        np.maximum(bright, LEAST_BRIGHT * _THIRD * halves[h].sum(axis=1), out=bright)
-        part = counts[h] * bright / (bright + tau)
-        lit += part[:, None] * halves[h] + (counts[h] - part)[:, None] * shine[h]
-        share += part
-    return cache._replace(sent=np.einsum("hc,hck->ck", counts, halves), lit=lit, share=share, tau=tau)
+    number = number_of.sum(axis=0)
+    counts = number_of / np.maximum(number, np.float32(1e-6))
+    sent, lit, share = divided(halves, shine, counts, bright, number, tau, parent)
+    return cache._replace(sent=sent, lit=lit, share=share, tau=tau)
 
 
 def _glossy_turns(probes: Probes) -> int:

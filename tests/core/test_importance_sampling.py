@@ -238,6 +238,18 @@ def test_what_lights_carry_of_a_cell_has_no_bias_by_its_noise():
     assert cache.lit[finest, 0].mean() == pytest.approx(cache.share[finest].mean(), rel=0.03)
 
 
+def test_rare_light_is_spread_and_not_lost():
+    # One path in fifty finds anything.  Of a spark that half of the paths found, the other half knows nothing: gather rays carry it, as an even glow.
+    rng = np.random.default_rng(6)
+    light = np.where(rng.random(40000) < 0.02, 50.0, 0.0)
+    cache = build_light_cache(probes_on_a_plane(40000, lambda x, y: light), 1, seed=1)
+    places = np.column_stack([rng.random((20000, 2)), np.zeros(20000)]).astype(np.float32)
+    cell = look_up(cache, places, np.tile(np.float32([0, 0, 1]), (20000, 1)), np.zeros(20000, np.int32), 3)
+    gathered, lights = (cache.sent - cache.lit)[cell, 0].mean(), cache.share[cell].mean() * light.mean()
+    assert gathered + lights == pytest.approx(light.mean(), rel=0.05)  # .58 where lights are bound to carry most of a spark
+    assert np.quantile(cache.sent[cell], 0.999) < 0.6 * np.quantile(cache.radiosity[-1, cell], 0.999)
+
+
 def test_what_glossy_surfaces_reflect_of_lamps_is_left_to_lights():
     probes = probes_on_a_plane(4000, lambda x, y: np.ones_like(x))
     probes.shine[probes.valid > 0] = 0.4
