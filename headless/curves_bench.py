@@ -361,7 +361,8 @@ def plot(path: Path, layer: str, rows: list[dict]) -> None:
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axes.grid(alpha=0.3)
-    figure.axes[0].legend(fontsize="small")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize="small", loc="outside lower center", ncols=len(labels))  # over no curve, whatever the scene
     for axes in figure.axes[len(scenes) :]:
         axes.set_axis_off()
     figure.suptitle(layer)

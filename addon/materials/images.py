@@ -72,11 +72,7 @@ def load_pixels(image: bpy.types.Image) -> np.ndarray:
     if pixels.shape[2] == 4 and not _keeps_alpha_apart(image):
         pixels = _associated(image, pixels)
     as_bytes = not image.is_float and (space == "sRGB" or space in _LINEAR)
-    if not as_bytes:
-        return np.ascontiguousarray(pixels)
-    pixels *= 255  # in place: fresh memory takes longer than the sum
-    pixels += 0.5
-    return pixels.astype(np.uint8)
+    return (pixels * 255 + 0.5).astype(np.uint8) if as_bytes else np.ascontiguousarray(pixels)
 
 
 def _encoded(pixels: np.ndarray, premultiplied: bool) -> np.ndarray:
