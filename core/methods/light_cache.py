@@ -84,7 +84,7 @@ class LightCache(NamedTuple):
     radiosity: (B, C, 3 G) float32 W/m^2, in row b the light that left up to b + 1 surfaces, by light groups.
     sent: (C, 3 G) float32 W/m^2, the row that gather rays look up again, the mean of what either half of the paths tells of it.
     lit: (C, 3 G) float32 W/m^2, the part of `sent` that virtual lights carry to where their geometry term is not clamped.  How bright a
-        cell is, on which that hangs, is told for each half by the other one (nearly): the product has no bias by their noise.
+        cell is, on which that hangs, is told for each half by the other one: the product has no bias by their noise.
     share: (C,) float32, how much of a virtual light's flux that is.
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
     """
