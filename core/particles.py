@@ -53,7 +53,7 @@ _EMISSION_DIMENSIONS = 5  # Sobol dimensions that a particle's birth takes
 _MAX_PASSED = 64  # transparent surfaces that one flight passes at most
 _MAX_ADJOINT = np.float32(8.0)  # bound of |ns.w| / |ng.w|: beyond it a smooth normal is far from its triangle
 _MORE_SURFACES = 4  # that a path may meet beyond its diffuse bounces, by glossy reflections
-LEAST_POWER = 1.0  # of the mean light of a first surface: what surely flies on by `trace_by_power`
+LEAST_POWER = 1.0  # of the mean share of its light that a particle keeps at a first surface: what surely flies on by `trace_by_power`
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -121,12 +121,12 @@ def _reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2):
 def _trace_particles(scene, begin, end, survivors, least, bounces, seed, vpls):
     """Fly the particles begin..end-1. survivors: (L,) int64, how many of all fly to surface 0..L-1.
 
-    least: of those, what carries less (W times the number of particles, mean of the channels) goes on by chance, with so much.
+    least: of those, what has kept a smaller share of the light that it was born with goes on by chance, with so much.
 
     bounces: diffuse reflections of a path at most, that of its first surface counted even if it is glossy.
 
-    Writes VPLs (their flux still times the number of particles); returns their number, the rays traced, and
-    the sum and count of the albedos met (for rho).
+    Writes VPLs (their flux still times the number of particles); returns their number, the rays traced, the sum and count of the
+    albedos met (for rho), and the sum of the shares of their light that VPLs have kept.
     """
     packet = new_packet()
     surface = np.zeros(SURFACE, np.float32)
@@ -134,6 +134,7 @@ def _trace_particles(scene, begin, end, survivors, least, bounces, seed, vpls):
     origin = np.empty((WIDTH, 3), np.float32)
     direction = np.empty((WIDTH, 3), np.float32)
     flux = np.empty((WIDTH, 3), np.float32)
+    born = np.empty(WIDTH, np.float32)
     emitter = np.empty(WIDTH, np.int32)
     near = np.empty(WIDTH, np.float32)
     flying = np.empty(WIDTH, np.bool_)
@@ -143,6 +144,7 @@ def _trace_particles(scene, begin, end, survivors, least, bounces, seed, vpls):
     n_rays = 0
     albedo_sum = 0.0
     albedo_count = 0
+    kept_sum = 0.0
     for base in range(begin, end, WIDTH):
         lanes = min(WIDTH, end - base)
         for lane in range(lanes):
@@ -153,6 +155,7 @@ def _trace_particles(scene, begin, end, survivors, least, bounces, seed, vpls):
             origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
             direction[lane, 0], direction[lane, 1], direction[lane, 2] = dx, dy, dz
             flux[lane, 0], flux[lane, 1], flux[lane, 2] = r, g, b
+            born[lane] = r + g + b
             flying[lane] = emitter[lane] >= 0 and max(r, g, b) > 0
             scattered[lane] = 0
         for bounce in range(len(survivors)):
@@ -269,14 +272,15 @@ def _trace_particles(scene, begin, end, survivors, least, bounces, seed, vpls):
                     vpls.side[n] = surface_side(scene.material[triangle], behind)
                     vpls.shine[n] = glossy and bounce == 0 and surface[ROUGHNESS] < WIDE
                     n += 1
+                    kept_sum += (r + g + b) / born[lane]
                     if bounce + 1 < len(survivors) and i < survivors[bounce + 1]:
                         more = np.float32(survivors[bounce] / survivors[bounce + 1])
-                        power = more * (r + g + b) * np.float32(1 / 3)
-                        if power < least:
-                            if uniform(seed, i, bounce, 3) * least >= power:
+                        kept = more * (r + g + b) / born[lane]
+                        if kept < least:
+                            if uniform(seed, i, bounce, 3) * least >= kept:
                                 flying[lane] = False
                                 continue
-                            more *= least / power
+                            more *= least / kept
                         flux[lane, 0], flux[lane, 1], flux[lane, 2] = r * more, g * more, b * more
                         direction[lane, 0], direction[lane, 1], direction[lane, 2] = wx, wy, wz
                         origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
@@ -284,7 +288,7 @@ def _trace_particles(scene, begin, end, survivors, least, bounces, seed, vpls):
                         flying[lane] = False
                 passed += 1
             # A lane that still waits has passed too many surfaces: its light is lost, as in any renderer's limit.
-    return n, n_rays, albedo_sum, albedo_count
+    return n, n_rays, albedo_sum, albedo_count, kept_sum
 
 
 def trace_particles(
@@ -300,10 +304,12 @@ def trace_particles(
 def trace_by_power(
     scene: Transport, particles: int, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None
 ) -> tuple[Vpls, int]:
-    """The same light by VPLs that are more alike: which particles go on is told by what each carries, not by its number.
+    """The same light by VPLs that are more alike: which particles go on is told by what each has kept, not by its number.
 
     Where most particles land on something dark, as from a sun on the ground around a house, few go on by number, and the
-    later bounces are a few lights of 10 to 100 times the power of the others.  Arguments and values as `trace_particles`.
+    later bounces are a few lights of 10 to 100 times the power of the others.  What a particle has kept of its birth's light
+    counts, not what it carries: where lamps are `focused`, those that are wanted are born with the least.
+    Arguments and values as `trace_particles`.
     """
     return _fly(scene, particles, bounces, seed, threads, progress, by_power=True)
 
@@ -315,12 +321,12 @@ def _fly(
     probe = min(particles, chunk)
     room = Vpls.allocate(probe)
     seed, none = np.uint32(seed), np.float32(0)
-    n, n_rays, albedo_sum, albedo_count = _trace_particles(scene, 0, probe, np.array([probe], np.int64), none, 1, seed, room)
+    n, n_rays, albedo_sum, albedo_count, kept_sum = _trace_particles(scene, 0, probe, np.array([probe], np.int64), none, 1, seed, room)
     if albedo_count == 0 or bounces < 1:
         return Vpls.allocate(0), n_rays
     surfaces = bounces + (_MORE_SURFACES if (scene.materials.flags & GLOSSY_LOBE).any() else 0)
     if by_power:
-        least = np.float32(LEAST_POWER * room.flux[:n].mean(dtype=np.float64)) if n else none
+        least = np.float32(LEAST_POWER * kept_sum / n) if n else none
         survivors = np.full(surfaces, particles, np.int64)
     else:
         least, rho = none, min(max(albedo_sum / albedo_count, 0.05), 1.0)
@@ -328,7 +334,7 @@ def _fly(
 
     def work(begin, end):
         room = Vpls.allocate((end - begin) * surfaces)
-        n, rays, _, _ = _trace_particles(scene, begin, end, survivors, least, bounces, seed, room)
+        n, rays, *_ = _trace_particles(scene, begin, end, survivors, least, bounces, seed, room)
         return room.take(slice(0, n)), rays
 
     parts = run_chunks(work, particles, chunk, threads, progress)

@@ -172,7 +172,7 @@ def _gathered(
         cell = find_cell(
             cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
         )  # fmt: skip
-        sheen = _1
+        own = sheen = _1
         if cell >= 0:
             cos_x = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
             clamped = min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
@@ -182,16 +182,17 @@ def _gathered(
                     out[k, c + 1] += wg * (cache.sent[cell, c + 1] - clamped * cache.lit[cell, c + 1])
                     out[k, c + 2] += wb * (cache.sent[cell, c + 2] - clamped * cache.lit[cell, c + 2])
                 continue
-            rest = _1 - clamped * cache.share[cell]
+            share = clamped * cache.share[cell]
+            rest = max(_1 - cache.later * share, np.float32(1e-6))
             wr, wg, wb = wr * rest, wg * rest, wb * rest
-            sheen = (_1 - clamped) / rest if rest > _0 else _0
+            own, sheen = (_1 - share) / rest, (_1 - clamped) / rest
         evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
         if sx * gx + sy * gy + sz * gz < 0:
             sx, sy, sz = -sx, -sy, -sz
         path_light(
             scene, single, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, bounces, seed, path,
-            out, k, wr, wg, wb, sheen,
+            out, k, wr, wg, wb, own, sheen,
         )  # fmt: skip
 
 
@@ -359,7 +360,7 @@ class ImportanceSampling:
         """Part of each VPL's light that is the virtual lights' to carry where G is below the clamp, (M,) float32."""
         cell = look_up(self.cache, vpls.position, vpls.surface_normal, vpls.side, self.seed + 2)
         share = self.cache.share[cell] if len(self.cache.share) else np.zeros(len(cell), np.float32)
-        share = np.where(cell >= 0, share, np.float32(0))
+        share = np.where(cell >= 0, share, np.float32(0)) * np.where(vpls.bounce == 1, np.float32(1), self.cache.later)
         # What a glossy surface reflects of the lamps has a direction, which the cache does not know.
         return np.where((vpls.shine > 0) & (cell >= 0), np.float32(1), share)
 

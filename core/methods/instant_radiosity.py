@@ -209,6 +209,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                     w * wg,
                     w * wb,
                     _1,
+                    _1,
                 )
     return rays
 

@@ -33,6 +33,7 @@ NEAR = 2.0  # cells: surfaces nearer than this are not looked up but followed on
 BALANCE = np.float32(50.0)  # probes of mean brightness that the balance of the whole view counts for in each place
 MOST_BALANCE = np.float32(1.5)
 BRIGHT_PRIOR = 4.0  # probes that a coarser cell counts as where it tells how bright a finer one is
+LATER_LIGHT = 1.0
 MOST_TURNS = 8  # of glossy reflections in the cache
 CHUNK = 16384  # probes a chunk
 FEW_PROBES = 16384  # which tell about the size of the cells
@@ -98,6 +99,7 @@ class LightCache(NamedTuple):
     lit: np.ndarray
     share: np.ndarray
     tau: np.float32
+    later: np.float32
 
 
 def no_cache() -> LightCache:
@@ -112,6 +114,7 @@ def no_cache() -> LightCache:
         none.reshape(0, 3),
         none.reshape(0, 3),
         none,
+        np.float32(1),
         np.float32(1),
     )
 
@@ -255,7 +258,7 @@ def _links(probes, cache, begin, end, seed, link_cell):
 
 def _solve(
     probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, level_of: np.ndarray,
-    near: np.float32, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, threads: int, go_on: Callable[[float], None],
+    near: np.float32, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, threads: int, go_on: Callable[[float], None],
 ) -> np.ndarray:  # fmt: skip
     """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
 
@@ -340,6 +343,7 @@ def _solve(
             halves += direct_of
             halves *= scale
             shine *= scale
+            first_of[:] = direct_of * scale
     return number_of
 
 
@@ -555,8 +559,8 @@ def build_light_cache(
     go_on(0.3)
     level_of, centre, side_of = level_of[:count].copy(), centre[:count].copy(), side_of[:count].copy()
     radiosity = np.zeros((bounces, count, probes.direct.shape[1]), np.float32)
-    halves, shine = (np.zeros((2, count, probes.direct.shape[1]), np.float32) for _ in range(2))
-    cache = LightCache(origin, size, keys, slot, radiosity, halves[0], shine[0], np.zeros(count, np.float32), np.float32(1))
+    halves, shine, first_of = (np.zeros((2, count, probes.direct.shape[1]), np.float32) for _ in range(3))
+    cache = LightCache(origin, size, keys, slot, radiosity, halves[0], shine[0], np.zeros(count, np.float32), np.float32(1), np.float32(1))
     parent = _parents(cache, level_of, centre, side_of)
     link_cell = np.empty(len(probes.valid), np.int64)
     run_chunks(lambda begin, end: _links(probes, cache, begin, end, np.uint32(seed), link_cell), len(link_cell), CHUNK, threads)
@@ -564,7 +568,7 @@ def build_light_cache(
     go_on(0.4)
     row = (bounces if gathered is None else gathered) - 1
     number_of = _solve(
-        probes, cells, link_cell, seen_cell, parent, level_of, np.float32(NEAR * size), radiosity, row, halves, shine, threads, go_on
+        probes, cells, link_cell, seen_cell, parent, level_of, np.float32(NEAR * size), radiosity, row, halves, shine, first_of, threads, go_on
     )
     tau = np.float32(max(seen_light(cache, probes, seed + 1), 1e-30))
     half, bright = _half(np.arange(len(probes.valid))), np.zeros((2, count), np.float32)
@@ -574,8 +578,8 @@ def build_light_cache(
         )  # fmt: skip
     number = number_of.sum(axis=0)
     counts = number_of / np.maximum(number, np.float32(1e-6))
-    sent, lit, share = divided(halves, shine, counts, bright, number, tau, parent)
-    return cache._replace(sent=sent, lit=lit, share=share, tau=tau)
+    sent, lit, share = divided(halves, shine, first_of, counts, bright, number, tau, parent, np.float32(LATER_LIGHT))
+    return cache._replace(sent=sent, lit=lit, share=share, tau=tau, later=np.float32(LATER_LIGHT))
 
 
 def _glossy_turns(probes: Probes) -> int:

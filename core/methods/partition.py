@@ -13,8 +13,8 @@ _1 = np.float32(1.0)
 
 
 def divided(
-    halves: np.ndarray, shine: np.ndarray, counts: np.ndarray, bright: np.ndarray, number: np.ndarray, tau: np.float32,
-    parent: np.ndarray,
+    halves: np.ndarray, shine: np.ndarray, first: np.ndarray, counts: np.ndarray, bright: np.ndarray, number: np.ndarray, tau: np.float32,
+    parent: np.ndarray, later: np.float32,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """`sent` (C, 3 G), `lit` (C, 3 G) and `share` (C,) of a light cache.
 
@@ -31,7 +31,8 @@ def divided(
         bound = RARE * bright[h] + tau
         beyond = np.where((own > bound) & (parent >= 0), _1 - bound / np.maximum(own, bound), np.float32(0))[:, None]
         light = counts[h][:, None] * halves[h]
-        lights = part[:, None] * light + (counts[h] * (_1 - part))[:, None] * shine[h]
+        known = counts[h][:, None] * first[h]
+        lights = part[:, None] * (known + later * (light - known)) + (counts[h] * (_1 - part))[:, None] * shine[h]
         share += counts[h] * part
         sent += (_1 - beyond) * light
         lit += (_1 - beyond) * lights

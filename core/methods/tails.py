@@ -102,7 +102,7 @@ def scatter_light(
 @leaf
 def path_light(
     scene, packet, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, bounces, seed, path,
-    out, i, kr, kg, kb, sheen,
+    out, i, kr, kg, kb, own, sheen,
 ):  # fmt: skip
     """Adds one sample of pi times the radiance that a surface sends towards w, weighed by k, to row i of `out`.
 
@@ -110,16 +110,17 @@ def path_light(
 
     The arguments as in `scatter_light`.  bounces: diffuse reflections at most; the first one after a lamp counts even if it
     is glossy.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
-    sheen: how much of the lamps' light that the first surface reflects as a glossy one counts.
+    own: how much of the lamps' light that the first surface reflects counts, sheen: of that which it reflects as a glossy one.
     out: (N, 3 G) float32 W/m^2, three columns for each light group.
     """
     wr = wg = wb = _1
     left = bounces - 1
     for vertex in range(bounces + _MORE_SURFACES):
         at = vertex * DIMENSIONS
+        first = own if vertex == 0 else _1
         dx, dy, dz, tr, tg, tb, kinds = scatter_light(
             scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, 1, left > 0, seed, path, at,
-            out, out, i, kr * wr, kg * wg, kb * wb, sheen if vertex == 0 else _1,
+            out, out, i, first * kr * wr, first * kg * wg, first * kb * wb, sheen / max(own, np.float32(1e-6)) if vertex == 0 else _1,
         )  # fmt: skip
         if kinds == 0:
             break
@@ -176,7 +177,7 @@ def _tail_chunk(scene, cache, near, points, begin, end, bounces, seed, out):
             scene, packet, rows, surface, lobe, cache, near, points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
             points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], bounces, seed, np.uint32(i),
-            out, i, weight, weight, weight, _1,
+            out, i, weight, weight, weight, _1, _1,
         )  # fmt: skip
 
 
