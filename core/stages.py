@@ -240,7 +240,7 @@ def cache_stage(run: Run, tables: Transport, points: ShadingPoints, settings: Re
         )
         tracer = run.sequence.probes if accurate and run.in_turn(settings) else trace_probes
         paths = None if accurate else int(SMALL_CACHE * cache_paths(len(points.pixel), 2))
-        run.rays["light"] += sampler.cache_light(tables, points, tick, paths=paths, tracer=tracer)
+        run.rays["light"] += sampler.cache_light(tables, points, tick, paths=paths, tracer=tracer, focus=run.sequence is None)
     return sampler
 
 

@@ -6,9 +6,19 @@
 
 from .build import build_emitters
 from .direct import DirectLight, direct_irradiance, direct_light
-from .emission import focused
+from .emission import focus_share, focused
 from .groups import LightGroups
 from .tables import Emitters
 from .world import world_tables
 
-__all__ = ["DirectLight", "Emitters", "LightGroups", "build_emitters", "direct_irradiance", "direct_light", "focused", "world_tables"]
+__all__ = [
+    "DirectLight",
+    "Emitters",
+    "LightGroups",
+    "build_emitters",
+    "direct_irradiance",
+    "direct_light",
+    "focus_share",
+    "focused",
+    "world_tables",
+]

@@ -302,6 +302,13 @@ def focused(emitters: Emitters, places: np.ndarray) -> Emitters:
     return emitters._replace(focus=np.array(kept, np.float32), emission_cdf=cumulative(sent, np.float64))
 
 
+def focus_share(emitters: Emitters) -> float:
+    """How much smaller than the whole box the focus of sun and world is, 1 without one: their light from elsewhere is told by so much fewer particles."""
+    if len(emitters.focus) == 0 or not emitters.flux[np.isin(emitters.kind, (SUN, WORLD))].any():
+        return 1.0
+    return _surface(emitters.focus[0]) / _surface(emitters.box)
+
+
 def _surface(box: np.ndarray) -> float:
     """Half the surface of a box (2, 3)."""
     x, y, z = (box[1] - box[0]).astype(np.float64)

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from ..lamps import focused
+from ..lamps import focus_share, focused
 from ..particles import Vpls, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
@@ -71,6 +71,9 @@ MIN_PATHS = 20000
 # so that less of it is left in a larger picture, but not what neighbours have in common.
 MANY_POINTS = 200_000
 PATHS_A_POINT = 64  # at most: a view of a few points does not need as many
+# Light that bounces on from outside of where sun and world are focused is told by few particles of much power, so many times as much as the
+# others' as the focus is smaller than the scene: where that is more than this inverse, later bounces are the gather rays' to that extent.
+RELIABLE = 20.0
 BATCHES = 4  # of particles: those whose light gather rays carry need not be many
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -339,20 +342,23 @@ class ImportanceSampling:
         *,
         paths: int | None = None,
         tracer: Tracer = trace_probes,
+        focus: bool = True,
     ) -> int:
         """Fill the cache of light from `paths` paths that begin at the points (None: as the samples need); the rays traced.
 
-        tracer: traces them, or knows some of them already.
+        tracer: traces them, or knows some of them already.  focus: whether particles are drawn to this view, which then serve no other one.
         """
         self.scene = scene
         if paths is None:
             paths = cache_paths(len(points.pixel), self.samples + self.gather)
         probes, rays = tracer(scene, points, paths, self.seed ^ 0x51AB5, self.threads, part(progress, 0.0, 0.6))
         # Where the view's light comes from last: there the particles are wanted.
-        self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
+        lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
+        self.emitters = focused(scene.emitters, lit_from) if focus else scene.emitters
         self.cache: LightCache = build_light_cache(
-            probes, self.bounces + has_lobes(points), self.seed, self.threads, part(progress, 0.6, 1.0), gathered=self.bounces
-        )
+            probes, self.bounces + has_lobes(points), self.seed, self.threads, part(progress, 0.6, 1.0), gathered=self.bounces,
+            later=min(1.0, RELIABLE * focus_share(self.emitters)),
+        )  # fmt: skip
         self.near = np.float32(NEAR * self.cache.size)
         return rays
 
@@ -376,11 +382,9 @@ class ImportanceSampling:
     ) -> tuple[Vpls, dict]:
         """Trace about `count` VPLs for what is left to them: the VPLs and the counts of `vpl_pool`, whose `particles` these are.
 
-        `particles` that serve other views, too, are not drawn to this one.  turn: of pictures that are averaged, which then take
-        one batch of particles each, in turn.
+        turn: of pictures that are averaged, which then take one batch of particles each, in turn.
         """
-        if particles is trace_by_power:
-            scene = scene._replace(emitters=focused(scene.emitters, self.lit_from))
+        scene = scene._replace(emitters=self.emitters)
         vpls, counts = vpl_pool(
             scene,
             points,

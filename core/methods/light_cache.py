@@ -33,7 +33,6 @@ NEAR = 2.0  # cells: surfaces nearer than this are not looked up but followed on
 BALANCE = np.float32(50.0)  # probes of mean brightness that the balance of the whole view counts for in each place
 MOST_BALANCE = np.float32(1.5)
 BRIGHT_PRIOR = 4.0  # probes that a coarser cell counts as where it tells how bright a finer one is
-LATER_LIGHT = 1.0
 MOST_TURNS = 8  # of glossy reflections in the cache
 CHUNK = 16384  # probes a chunk
 FEW_PROBES = 16384  # which tell about the size of the cells
@@ -88,6 +87,7 @@ class LightCache(NamedTuple):
         cell is, on which that hangs, is told for each half by the other one: the product has no bias by their noise.
     share: (C,) float32, how much of a virtual light's flux that is.
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
+    later: float32, by which `share` is less for light that has left several surfaces.
     """
 
     origin: np.ndarray
@@ -526,11 +526,19 @@ def _size_for(probes: Probes, origin: np.ndarray, size: float, low: float, high:
 
 
 def build_light_cache(
-    probes: Probes, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None, *, gathered: int | None = None
+    probes: Probes,
+    bounces: int,
+    seed: int,
+    threads: int = 0,
+    progress: Progress | None = None,
+    *,
+    gathered: int | None = None,
+    later: float = 1.0,
 ) -> LightCache:
     """Cells that hold what the probes know of light that left 1 to `bounces` surfaces.
 
     gathered: how many of them the light has left that gather rays look up, None for `bounces`.
+    later: what virtual lights carry of light that has left several surfaces, as a part of what they carry of other light.
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -568,7 +576,20 @@ def build_light_cache(
     go_on(0.4)
     row = (bounces if gathered is None else gathered) - 1
     number_of = _solve(
-        probes, cells, link_cell, seen_cell, parent, level_of, np.float32(NEAR * size), radiosity, row, halves, shine, first_of, threads, go_on
+        probes,
+        cells,
+        link_cell,
+        seen_cell,
+        parent,
+        level_of,
+        np.float32(NEAR * size),
+        radiosity,
+        row,
+        halves,
+        shine,
+        first_of,
+        threads,
+        go_on,
     )
     tau = np.float32(max(seen_light(cache, probes, seed + 1), 1e-30))
     half, bright = _half(np.arange(len(probes.valid))), np.zeros((2, count), np.float32)
@@ -578,8 +599,8 @@ def build_light_cache(
         )  # fmt: skip
     number = number_of.sum(axis=0)
     counts = number_of / np.maximum(number, np.float32(1e-6))
-    sent, lit, share = divided(halves, shine, first_of, counts, bright, number, tau, parent, np.float32(LATER_LIGHT))
-    return cache._replace(sent=sent, lit=lit, share=share, tau=tau, later=np.float32(LATER_LIGHT))
+    sent, lit, share = divided(halves, shine, first_of, counts, bright, number, tau, parent, np.float32(later))
+    return cache._replace(sent=sent, lit=lit, share=share, tau=tau, later=np.float32(later))
 
 
 def _glossy_turns(probes: Probes) -> int:
