@@ -57,6 +57,7 @@ from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
 from .light_cache import DEPTH, NEAR, LightCache, build_light_cache, find_cell, look_up
+from .partition import strengths, trusted
 from .probes import Tracer, trace_probes
 from .tails import path_light
 
@@ -74,6 +75,7 @@ PATHS_A_POINT = 64  # at most: a view of a few points does not need as many
 # Light that bounces on from outside of where sun and world are focused is told by few particles of much power, so many times as much as the
 # others' as the focus is smaller than the scene: where that is more than this inverse, later bounces are the gather rays' to that extent.
 RELIABLE = 20.0
+NEVER_STRONG = 0.5  # of a strong light: where none is more, all are trusted
 BATCHES = 4  # of particles: those whose light gather rays carry need not be many
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -188,7 +190,7 @@ def _gathered(
             share = clamped * cache.share[cell]
             rest = max(_1 - cache.later * share, np.float32(1e-6))
             wr, wg, wb = wr * rest, wg * rest, wb * rest
-            own, sheen = (_1 - share) / rest, (_1 - clamped) / rest
+            own, sheen = (_1 - share) / rest, (_1 - cache.trust[cell] * clamped) / rest
         evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
         if sx * gx + sy * gy + sz * gz < 0:
@@ -353,22 +355,39 @@ class ImportanceSampling:
             paths = cache_paths(len(points.pixel), self.samples + self.gather)
         probes, rays = tracer(scene, points, paths, self.seed ^ 0x51AB5, self.threads, part(progress, 0.0, 0.6))
         # Where the view's light comes from last: there the particles are wanted.
-        lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
-        self.emitters = focused(scene.emitters, lit_from) if focus else scene.emitters
+        self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
+        self.emitters = focused(scene.emitters, self.lit_from) if focus else scene.emitters
         self.cache: LightCache = build_light_cache(
             probes, self.bounces + has_lobes(points), self.seed, self.threads, part(progress, 0.6, 1.0), gathered=self.bounces,
             later=min(1.0, RELIABLE * focus_share(self.emitters)),
         )  # fmt: skip
         self.near = np.float32(NEAR * self.cache.size)
+        self.weighed = False
         return rays
 
     def shares(self, vpls: Vpls) -> np.ndarray:
         """Part of each VPL's light that is the virtual lights' to carry where G is below the clamp, (M,) float32."""
+        if not self.weighed:
+            self._weigh(vpls)
         cell = look_up(self.cache, vpls.position, vpls.surface_normal, vpls.side, self.seed + 2)
         share = self.cache.share[cell] if len(self.cache.share) else np.zeros(len(cell), np.float32)
         share = np.where(cell >= 0, share, np.float32(0)) * np.where(vpls.bounce == 1, np.float32(1), self.cache.later)
         # What a glossy surface reflects of the lamps has a direction, which the cache does not know.
-        return np.where((vpls.shine > 0) & (cell >= 0), np.float32(1), share)
+        if not len(self.cache.share):
+            return share
+        return np.where((vpls.shine > 0) & (cell >= 0), self.cache.trust[cell], share)
+
+    def _weigh(self, vpls: Vpls) -> None:
+        """Leaves light to the gather rays from where lights are too strong, by the first of them."""
+        self.weighed = True
+        first = vpls.bounce == 1
+        if not first.any() or not len(self.lit_from) or not len(self.cache.share):
+            return
+        strength = strengths(vpls.flux[first], float(self.cache.tau), self.lit_from)
+        if not strength.max() > NEVER_STRONG:
+            return
+        trust = trusted(strength, vpls.position[first], vpls.surface_normal[first], self.cache.root, self.cache.centre)
+        self.cache = self.cache._replace(lit=trust[:, None] * self.cache.lit, share=trust * self.cache.share, trust=trust)
 
     def prepare(
         self,

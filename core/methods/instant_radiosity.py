@@ -234,8 +234,10 @@ def clamp_of(vpls: Vpls, points: ShadingPoints, share: float = 0.05, subset: int
     here, there = (sum(d[i] * normal[i] for i in range(3)) for normal in (points.ns[at].T[:, :, None], vpls.normal[by].T))
     g = np.maximum(here, 0) * np.maximum(-there, 0) / r2_**2
     flux = vpls.flux[by].astype(np.float64).mean(-1)
-    # The median over the points of each point's mean: single close pairs do not decide.
-    light = np.median((g * flux).mean(axis=1)) * len(vpls.bounce)
+    # The mean over the points of each point's mean, or of what three quarters of them have less than: single close pairs do not decide,
+    # nor does a floor of which no point sees the patch of sun on it.
+    light = (g * flux).mean(axis=1)
+    light = np.minimum(light, np.quantile(light, 0.75)).mean() * len(vpls.bounce)
     mean_flux = vpls.flux.astype(np.float64).mean()
     if not (light > 0 and mean_flux > 0):
         light = max((g * flux).mean() * len(vpls.bounce), 1e-30)

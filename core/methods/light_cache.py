@@ -88,6 +88,8 @@ class LightCache(NamedTuple):
     share: (C,) float32, how much of a virtual light's flux that is.
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
     later: float32, by which `share` is less for light that has left several surfaces.
+    trust: (C,) float32, by which `share` is less than how bright the cell is would have it: see `trusted`.
+    centre: (C, 6) float32, middle and normal of the cells.  root: (C,) int64, the coarsest cell around each.
     """
 
     origin: np.ndarray
@@ -100,6 +102,9 @@ class LightCache(NamedTuple):
     share: np.ndarray
     tau: np.float32
     later: np.float32
+    trust: np.ndarray
+    centre: np.ndarray
+    root: np.ndarray
 
 
 def no_cache() -> LightCache:
@@ -116,6 +121,9 @@ def no_cache() -> LightCache:
         none,
         np.float32(1),
         np.float32(1),
+        none,
+        none.reshape(0, 6),
+        np.zeros(0, np.int64),
     )
 
 
@@ -257,7 +265,7 @@ def _links(probes, cache, begin, end, seed, link_cell):
 
 
 def _solve(
-    probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, level_of: np.ndarray,
+    probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, root: np.ndarray, level_of: np.ndarray,
     near: np.float32, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, threads: int, go_on: Callable[[float], None],
 ) -> np.ndarray:  # fmt: skip
     """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
@@ -269,9 +277,6 @@ def _solve(
     """
     count, turns = len(parent), _glossy_turns(probes)
     order = np.argsort(-level_of.astype(np.int64), kind="stable")
-    root = np.arange(count)
-    for _ in range(LEVELS - 1):
-        root = np.where(parent[root] >= 0, parent[root], root)
     knows = np.flatnonzero(probes.valid > 0)
     half = _half(knows)
     weight = np.where((knows % DEPTH == 0) & (probes.distance[knows] > near), _1, LATER)
@@ -568,29 +573,24 @@ def build_light_cache(
     level_of, centre, side_of = level_of[:count].copy(), centre[:count].copy(), side_of[:count].copy()
     radiosity = np.zeros((bounces, count, probes.direct.shape[1]), np.float32)
     halves, shine, first_of = (np.zeros((2, count, probes.direct.shape[1]), np.float32) for _ in range(3))
-    cache = LightCache(origin, size, keys, slot, radiosity, halves[0], shine[0], np.zeros(count, np.float32), np.float32(1), np.float32(1))
+    one = np.float32(1)
+    cache = LightCache(
+        origin, size, keys, slot, radiosity, halves[0], shine[0], np.zeros(count, np.float32), one, one,
+        np.ones(count, np.float32), centre, np.arange(count),
+    )  # fmt: skip
     parent = _parents(cache, level_of, centre, side_of)
+    root = np.arange(count)
+    for _ in range(LEVELS - 1):
+        root = np.where(parent[root] >= 0, parent[root], root)
     link_cell = np.empty(len(probes.valid), np.int64)
     run_chunks(lambda begin, end: _links(probes, cache, begin, end, np.uint32(seed), link_cell), len(link_cell), CHUNK, threads)
     seen_cell = look_up(cache, probes.position, probes.normal, probes.side, seed + 3, threads)
     go_on(0.4)
     row = (bounces if gathered is None else gathered) - 1
     number_of = _solve(
-        probes,
-        cells,
-        link_cell,
-        seen_cell,
-        parent,
-        level_of,
-        np.float32(NEAR * size),
-        radiosity,
-        row,
-        halves,
-        shine,
-        first_of,
-        threads,
-        go_on,
-    )
+        probes, cells, link_cell, seen_cell, parent, root, level_of, np.float32(NEAR * size), radiosity, row, halves, shine, first_of,
+        threads, go_on,
+    )  # fmt: skip
     tau = np.float32(max(seen_light(cache, probes, seed + 1), 1e-30))
     half, bright = _half(np.arange(len(probes.valid))), np.zeros((2, count), np.float32)
     for h in range(2):
@@ -600,7 +600,7 @@ def build_light_cache(
     number = number_of.sum(axis=0)
     counts = number_of / np.maximum(number, np.float32(1e-6))
     sent, lit, share = divided(halves, shine, first_of, counts, bright, number, tau, parent, np.float32(later))
-    return cache._replace(sent=sent, lit=lit, share=share, tau=tau, later=np.float32(later))
+    return cache._replace(sent=sent, lit=lit, share=share, tau=tau, later=np.float32(later), root=root)
 
 
 def _glossy_turns(probes: Probes) -> int:

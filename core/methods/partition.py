@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..jit import kernel
 
 # What half of the paths tells of a cell beyond so many times what the other half knows of it, and beyond the view's mean light, is
 # a rare path: it is spread over the cells of the next coarser one.  In one cell it would be a spark.
 RARE = np.float32(2.0)
+# A virtual light is too strong that would give so many times the view's mean light at a tenth of its size: it stands for a place that few
+# particles reach, and would be a spark on what little of the view it sees.
+STRONG = 20.0
+NEAREST = 8  # lights that tell how strong those of a cell are
 _1 = np.float32(1.0)
 
 
@@ -41,6 +46,29 @@ def divided(
     sent += _spread(rare[0], number, parent)
     lit += _spread(rare[1], number, parent)
     return sent, lit, share
+
+
+def strengths(flux: np.ndarray, tau: float, places: np.ndarray) -> np.ndarray:
+    """How strong lights of a flux (M, 3) W are for a view, (M,) float32, whose mean light is tau and light comes from places (N, 3): `STRONG` is 1."""
+    low, high = np.quantile(places, (0.1, 0.9), axis=0)
+    size = max(float(np.sort(high - low)[1]), 1e-30)
+    return np.einsum("mc->m", flux) / np.float32(3 * STRONG * np.pi * max(tau, 1e-30) * (0.1 * size) ** 2)
+
+
+def trusted(strength: np.ndarray, position: np.ndarray, normal: np.ndarray, root: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """How much of what lights could carry is left to them in each cell, (C,) float32: little where they are strong.
+
+    strength (M,), position, normal (M, 3): of lights that left one surface.  root: (C,), the coarsest cell around each, which all share
+    its trust.  centre: (C, 6), middles and normals of the cells.
+    """
+    cells, of = np.unique(root, return_inverse=True)
+    middle = centre[cells]
+    # A light of another normal counts as one that lies a good way off.
+    far = np.float32(0.1 * np.ptp(middle[:, :3], axis=0).max()) if len(cells) else np.float32(0)
+    tree = cKDTree(np.column_stack([position, far * normal]))
+    _, near = tree.query(np.column_stack([middle[:, :3], far * middle[:, 3:]]), k=min(NEAREST, len(strength)))
+    strong = strength[near.reshape(len(cells), -1)].mean(axis=1)
+    return (_1 / (_1 + strong * strong)).astype(np.float32)[of]
 
 
 def _mean(light: np.ndarray) -> np.ndarray:
