@@ -56,7 +56,7 @@ from ..vpl_pool import BATCH_SEED, Particles, vpl_pool
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
-from .light_cache import DEPTH, NEAR, LightCache, build_light_cache, find_cell, look_up
+from .light_cache import DEPTH, NEAR, LightCache, Probes, build_light_cache, find_cell, look_up
 from .partition import strengths, trusted
 from .probes import Tracer, trace_probes
 from .tails import path_light
@@ -71,6 +71,10 @@ MIN_PATHS = 20000
 # Beyond so many points, what all of them share grows as their root: the denoiser takes out their own noise over as many pixels as ever,
 # so that less of it is left in a larger picture, but not what neighbours have in common.
 MANY_POINTS = 200_000
+# Where fewer probes than this tell nearly all direct light (Kish's effective number), as of a patch of sun from a small window, up to so many
+# times more paths are traced: the light of all bounces hangs on them.
+TELLING = 300.0
+MOST_MORE = 3
 PATHS_A_POINT = 64  # at most: a view of a few points does not need as many
 # Light that bounces on from outside of where sun and world are focused is told by few particles of much power, so many times as much as the
 # others' as the focus is smaller than the scene: where that is more than this inverse, later bounces are the gather rays' to that extent.
@@ -321,6 +325,13 @@ def pool_growth(points: int) -> int:
     return 2 ** max(0, round(0.5 * math.log2(max(points, 1) / MANY_POINTS)))
 
 
+def _telling(probes: Probes) -> float:
+    """Kish's effective number of the probes by which visible points know of direct light; infinite where there is none."""
+    light = np.einsum("nc->n", probes.direct[::DEPTH].astype(np.float64))
+    squares = float(light @ light)
+    return float(light.sum()) ** 2 / squares if squares > 0 else math.inf
+
+
 class ImportanceSampling:
     """Virtual lights picked by what they can give, and gather rays into a cache of light.
 
@@ -351,9 +362,16 @@ class ImportanceSampling:
         tracer: traces them, or knows some of them already.  focus: whether particles are drawn to this view, which then serve no other one.
         """
         self.scene = scene
-        if paths is None:
+        own = paths is None
+        if own:
             paths = cache_paths(len(points.pixel), self.samples + self.gather)
-        probes, rays = tracer(scene, points, paths, self.seed ^ 0x51AB5, self.threads, part(progress, 0.0, 0.6))
+        seed = self.seed ^ 0x51AB5
+        probes, rays = tracer(scene, points, paths, seed, self.threads, part(progress, 0.0, 0.4))
+        if own and focus:
+            more = min(MOST_MORE, math.ceil(TELLING / max(1.0, _telling(probes))) - 1)
+            if more > 0:
+                others, found = tracer(scene, points, more * paths, seed + 1, self.threads, part(progress, 0.4, 0.6))
+                probes, rays = Probes.concatenate([probes, others]), rays + found
         # Where the view's light comes from last: there the particles are wanted.
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
         self.emitters = focused(scene.emitters, self.lit_from) if focus else scene.emitters
@@ -367,21 +385,20 @@ class ImportanceSampling:
 
     def shares(self, vpls: Vpls) -> np.ndarray:
         """Part of each VPL's light that is the virtual lights' to carry where G is below the clamp, (M,) float32."""
+        if not len(self.cache.share):
+            return np.zeros(len(vpls.bounce), np.float32)
         if not self.weighed:
             self._weigh(vpls)
         cell = look_up(self.cache, vpls.position, vpls.surface_normal, vpls.side, self.seed + 2)
-        share = self.cache.share[cell] if len(self.cache.share) else np.zeros(len(cell), np.float32)
-        share = np.where(cell >= 0, share, np.float32(0)) * np.where(vpls.bounce == 1, np.float32(1), self.cache.later)
+        share = self.cache.share[cell] * np.where(vpls.bounce == 1, np.float32(1), self.cache.later)
         # What a glossy surface reflects of the lamps has a direction, which the cache does not know.
-        if not len(self.cache.share):
-            return share
-        return np.where((vpls.shine > 0) & (cell >= 0), self.cache.trust[cell], share)
+        return np.where(cell >= 0, np.where(vpls.shine > 0, self.cache.trust[cell], share), np.float32(0))
 
     def _weigh(self, vpls: Vpls) -> None:
         """Leaves light to the gather rays from where lights are too strong, by the first of them."""
         self.weighed = True
         first = vpls.bounce == 1
-        if not first.any() or not len(self.lit_from) or not len(self.cache.share):
+        if not first.any():
             return
         strength = strengths(vpls.flux[first], float(self.cache.tau), self.lit_from)
         if not strength.max() > NEVER_STRONG:

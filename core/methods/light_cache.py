@@ -69,6 +69,11 @@ class Probes(NamedTuple):
     valid: np.ndarray
 
     @staticmethod
+    def concatenate(parts: list[Probes]) -> Probes:
+        """All probes of the parts, one after the other."""
+        return Probes(*(np.concatenate(columns) for columns in zip(*parts)))
+
+    @staticmethod
     def allocate(n: int, light_groups: int = 1) -> Probes:
         """Room for n probes, none of them valid."""
         rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, 3 * light_groups, 3 * light_groups, 3, 3, 3)]

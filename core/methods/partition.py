@@ -51,8 +51,9 @@ def divided(
 def strengths(flux: np.ndarray, tau: float, places: np.ndarray) -> np.ndarray:
     """How strong lights of a flux (M, 3) W are for a view, (M,) float32, whose mean light is tau and light comes from places (N, 3): `STRONG` is 1."""
     low, high = np.quantile(places, (0.1, 0.9), axis=0)
-    size = max(float(np.sort(high - low)[1]), 1e-30)
-    return np.einsum("mc->m", flux) / np.float32(3 * STRONG * np.pi * max(tau, 1e-30) * (0.1 * size) ** 2)
+    strong = np.float32(STRONG * np.pi * tau * (0.1 * float(np.sort(high - low)[1])) ** 2)
+    power = np.einsum("mc->m", flux) * np.float32(1 / 3)
+    return power / strong if strong > 1e-30 else np.zeros_like(power)  # of a single place nothing is known
 
 
 def trusted(strength: np.ndarray, position: np.ndarray, normal: np.ndarray, root: np.ndarray, centre: np.ndarray) -> np.ndarray:

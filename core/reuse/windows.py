@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from ..methods.light_cache import Probes
 from ..methods.probes import trace_probes
 from ..threads import Progress
@@ -51,9 +49,4 @@ class ProbeWindow:
                 self._parts[seed, turn] = _Part(number, probes)
                 self.traced += 1
                 rays += more
-        return joined([self._parts[seed, turn].probes for turn in range(self.turns)]), rays
-
-
-def joined(parts: list[Probes]) -> Probes:
-    """All probes of the parts, one after the other."""
-    return Probes(*(np.concatenate(columns) for columns in zip(*parts)))
+        return Probes.concatenate([self._parts[seed, turn].probes for turn in range(self.turns)]), rays

@@ -153,3 +153,17 @@ def corner_irradiance(x):
 
 def test_clamp_without_light_is_no_clamp():
     assert clamp_of(Vpls.allocate(0), shading_points(np.zeros((1, 3)), (0, 0, 1))) == np.inf
+
+
+def test_clamp_does_not_hang_on_points_that_see_no_light():
+    # Six of ten points on the floor, whose patch of sun lights only the others.
+    x = np.linspace(-1, 1, 60)
+    floor, ceiling = np.column_stack([x, 0 * x, 0 * x]), np.column_stack([x[:40], 0 * x[:40], 0 * x[:40] + 2])
+    n = 64
+    vpls = Vpls.allocate(n)
+    for column in vpls:
+        column[:] = 0
+    vpls.position[:, 0], vpls.normal[:, 2], vpls.flux[:] = np.linspace(-0.1, 0.1, n), 1, 1.0
+    alone = clamp_of(vpls, shading_points(ceiling, (0, 0, -1)))
+    both = ShadingPoints.concatenate([shading_points(floor, (0, 0, 1)), shading_points(ceiling, (0, 0, -1))])
+    assert 0.2 * alone < clamp_of(vpls, both) < alone
