@@ -69,7 +69,7 @@ def trusted(strength: np.ndarray, position: np.ndarray, normal: np.ndarray, root
     tree = cKDTree(np.column_stack([position, far * normal]))
     _, near = tree.query(np.column_stack([middle[:, :3], far * middle[:, 3:]]), k=min(NEAREST, len(strength)))
     strong = strength[near.reshape(len(cells), -1)].mean(axis=1)
-    return (_1 / (_1 + strong * strong)).astype(np.float32)[of]
+    return (1 / (1 + strong.astype(np.float64) ** 2)).astype(np.float32)[of]
 
 
 def _mean(light: np.ndarray) -> np.ndarray:
