@@ -403,7 +403,8 @@ class ImportanceSampling:
         strength = strengths(vpls.flux[first], float(self.cache.tau), self.lit_from)
         if not strength.max() > NEVER_STRONG:
             return
-        trust = trusted(strength, vpls.position[first], vpls.surface_normal[first], self.cache.root, self.cache.centre)
+        lights = vpls.position[first], vpls.surface_normal[first], vpls.side[first]
+        trust = trusted(strength, *lights, self.cache.root, self.cache.centre, self.cache.side)
         self.cache = self.cache._replace(lit=trust[:, None] * self.cache.lit, share=trust * self.cache.share, trust=trust)
 
     def prepare(

@@ -94,7 +94,8 @@ class LightCache(NamedTuple):
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
     later: float32, by which `share` is less for light that has left several surfaces.
     trust: (C,) float32, by which `share` is less than how bright the cell is would have it: see `trusted`.
-    centre: (C, 6) float32, middle and normal of the cells.  root: (C,) int64, the coarsest cell around each.
+    centre: (C, 6) float32, middle and normal of the cells.  side: (C,) int32, their sides.
+    root: (C,) int64, the coarsest cell around each.
     """
 
     origin: np.ndarray
@@ -109,6 +110,7 @@ class LightCache(NamedTuple):
     later: np.float32
     trust: np.ndarray
     centre: np.ndarray
+    side: np.ndarray
     root: np.ndarray
 
 
@@ -128,6 +130,7 @@ def no_cache() -> LightCache:
         np.float32(1),
         none,
         none.reshape(0, 6),
+        np.zeros(0, np.int32),
         np.zeros(0, np.int64),
     )
 
@@ -581,7 +584,7 @@ def build_light_cache(
     one = np.float32(1)
     cache = LightCache(
         origin, size, keys, slot, radiosity, halves[0], shine[0], np.zeros(count, np.float32), one, one,
-        np.ones(count, np.float32), centre, np.arange(count),
+        np.ones(count, np.float32), centre, side_of, np.arange(count),
     )  # fmt: skip
     parent = _parents(cache, level_of, centre, side_of)
     root = np.arange(count)

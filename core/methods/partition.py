@@ -13,7 +13,7 @@ RARE = np.float32(2.0)
 # A virtual light is too strong that would give so many times the view's mean light at a tenth of its size: it stands for a place that few
 # particles reach, and would be a spark on what little of the view it sees.
 STRONG = 20.0
-NEAREST = 8  # lights that tell how strong those of a cell are
+NEAREST = 64  # lights that tell how strong those of a cell are: where sun and sky are focused, one in fifty may have most of the power
 _1 = np.float32(1.0)
 
 
@@ -56,20 +56,28 @@ def strengths(flux: np.ndarray, tau: float, places: np.ndarray) -> np.ndarray:
     return power / strong if strong > 1e-30 else np.zeros_like(power)  # of a single place nothing is known
 
 
-def trusted(strength: np.ndarray, position: np.ndarray, normal: np.ndarray, root: np.ndarray, centre: np.ndarray) -> np.ndarray:
+def trusted(
+    strength: np.ndarray, position: np.ndarray, normal: np.ndarray, side: np.ndarray, root: np.ndarray, centre: np.ndarray,
+    side_of: np.ndarray,
+) -> np.ndarray:  # fmt: skip
     """How much of what lights could carry is left to them in each cell, (C,) float32: little where they are strong.
 
-    strength (M,), position, normal (M, 3): of lights that left one surface.  root: (C,), the coarsest cell around each, which all share
-    its trust.  centre: (C, 6), middles and normals of the cells.
+    strength, side (M,), position, normal (M, 3): of lights that left one surface, M > 0.  root: (C,), the coarsest cell around each, which
+    all share its trust.  centre: (C, 6), side_of: (C,), middles, normals and sides of the cells.
     """
     cells, of = np.unique(root, return_inverse=True)
-    middle = centre[cells]
-    # A light of another normal counts as one that lies a good way off.
-    far = np.float32(0.1 * np.ptp(middle[:, :3], axis=0).max()) if len(cells) else np.float32(0)
-    tree = cKDTree(np.column_stack([position, far * normal]))
-    _, near = tree.query(np.column_stack([middle[:, :3], far * middle[:, 3:]]), k=min(NEAREST, len(strength)))
-    strong = strength[near.reshape(len(cells), -1)].mean(axis=1)
-    return (1 / (1 + strong.astype(np.float64) ** 2)).astype(np.float32)[of]
+    middle = centre[cells].astype(np.float64)
+    # A light of another normal counts as one that lies a good way off, one of another surface as one that lies farther than any.
+    extent = np.ptp(np.vstack([position, middle[:, :3]]), axis=0).max()
+    scale = extent * np.array([0.1, 0.1, 0.1, 10.0])
+    kinds = np.unique(side)
+    kind = [np.searchsorted(kinds, which) for which in (side, side_of[cells])]
+    tree = cKDTree(np.column_stack([position, scale * np.column_stack([normal, kind[0]])]))
+    _, near = tree.query(np.column_stack([middle[:, :3], scale * np.column_stack([middle[:, 3:], kind[1]])]), k=min(NEAREST, len(strength)))
+    strong = strength.astype(np.float64)[near.reshape(len(cells), -1)]
+    # Strong lights are few where weak ones are many: each counts by the surface for which it stands.
+    strong = (strong * strong).sum(axis=1) / np.maximum(strong.sum(axis=1), 1e-30)
+    return (1 / (1 + strong**2)).astype(np.float32)[of]
 
 
 def _mean(light: np.ndarray) -> np.ndarray:

@@ -309,25 +309,33 @@ def test_a_window_in_a_wide_land_lets_in_as_much_light_as_paths_find(windowed):
 
 def test_cells_are_trusted_by_how_strong_the_lights_around_them_are():
     rng = np.random.default_rng(1)
-    position, normal = np.zeros((4000, 3), np.float32), np.tile(np.float32([0, 0, 1]), (4000, 1))
-    position[:, :2] = rng.uniform(-1, 1, (4000, 2))
-    strength = np.where(position[:, 0] < 0, 0.01, 100.0).astype(np.float32)
+    position, up = np.zeros((8000, 3), np.float32), np.float32([0, 0, 1])
+    position[:, :2] = rng.uniform(-1, 1, (8000, 2))
+    # On the right one light in fifty has nearly all the power.
+    strength = np.where((position[:, 0] > 0) & (np.arange(8000) % 50 == 0), 100.0, 0.01).astype(np.float32)
     centre = np.zeros((200, 6), np.float32)
     centre[:, :2] = rng.uniform(-1, 1, (200, 2))
-    centre[:, 5] = 1
+    centre[:, 3:] = up
     centre[100:] = centre[:100] + np.float32([0, 0, 9, 0, 0, 0])  # finer cells have the trust of their coarsest one, wherever they lie
-    root = np.tile(np.arange(100), 2)
-    trust = trusted(strength, position, normal, root, centre)
-    assert trust.dtype == np.float32 and np.array_equal(trust[:100], trust[100:])
-    x = centre[root, 0]
-    assert (trust[x < -0.1] > 0.999).all() and (trust[x > 0.1] < 1e-3).all()
-    # A floor that is lit beside a wall that is not: their normals tell them apart.
-    wall = centre[:100].copy()
-    wall[:, 3:] = (0, 1, 0)
-    lights = np.concatenate([position, position]), np.concatenate([normal, normal[:, [0, 2, 1]]])
-    trust = trusted(np.concatenate([strength, np.full(4000, 1e-3, np.float32)]), *lights, np.arange(100), wall)
-    assert (trust > 0.999).all()
-    assert trusted(strength[:1], position[:1], normal[:1], root, centre).shape == (200,)
+    root, x = np.tile(np.arange(100), 2), centre[:100, 0]
+
+    def trust_of(strength=strength, position=position, normal=up, side=0, which=0):
+        m = len(strength)
+        sides = np.full(m, side) if np.isscalar(side) else side
+        normals = np.broadcast_to(normal, (m, 3))
+        found = trusted(strength, position, normals, sides, root, centre, np.full(200, which))
+        assert found.dtype == np.float32 and np.array_equal(found[:100], found[100:])
+        return found[:100]
+
+    trust = trust_of()
+    assert (trust[x < -0.3] > 0.999).all() and np.median(trust[x > 0.3]) < 1e-3
+    # Weak lights of another normal, or of another surface, in the same places tell nothing of these cells; those of their own do.
+    both, twice = np.concatenate([strength, np.full(8000, 1e-3, np.float32)]), np.tile(position, (2, 1))
+    walls = np.repeat([up, up[[0, 2, 1]]], 8000, axis=0)
+    np.testing.assert_array_equal(trust_of(both, twice, walls), trust)
+    np.testing.assert_array_equal(trust_of(both, twice, side=np.repeat([0, 2], 8000)), trust)
+    assert (trust_of(both, twice, side=np.repeat([0, 2], 8000), which=2) > 0.999).all()
+    assert trust_of(strength[:1], position[:1]).shape == (100,)
 
 
 def test_strength_of_a_light_does_not_hang_on_units():
