@@ -279,7 +279,7 @@ def _solve(
     """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
 
     halves: (2, C, 3 G), its `row` again, as half of the paths tell it;  shine: (2, C, 3 G), the part of that which came from lamps
-    and was reflected by a glossy lobe.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
+    and was reflected by a glossy lobe.  first_of: (2, C, 3 G), all that came straight from lamps.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
 
     Returns (2, C) float32: the weight of the probes of each cell, of either half.
     """

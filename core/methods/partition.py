@@ -24,7 +24,8 @@ def divided(
     """`sent` (C, 3 G), `lit` (C, 3 G) and `share` (C,) of a light cache.
 
     halves: (2, C, 3 G) W/m^2, the light that gather rays look up, as half of the paths tells it.  shine: (2, C, 3 G), the part of that
-    which virtual lights carry in any case.  counts: (2, C), how much of each cell either half knows, 1 in all.  bright: (2, C), how
+    which virtual lights carry in any case.  first: (2, C, 3 G), the part of it that has left no other surface before; of the rest, lights carry
+    `later` times what they else would.  counts: (2, C), how much of each cell either half knows, 1 in all.  bright: (2, C), how
     bright each cell is as the *other* half tells it.  number: (C,), the weight of each cell's probes.  parent: (C,), the next coarser
     cell, -1 for none.
     """
