@@ -11,7 +11,9 @@ tracer computes with shading normals.
 
 Glossy surfaces: at each hit a particle is reflected by the diffuse or by the glossy lobe, drawn by their albedos for the
 light's own direction, and flies on as that lobe sends it.  A glossy reflection leaves a VPL that shines about the
-direction drawn from the lobe: all of them together shine as the lobe does, blurred by a cosine, with its energy.
+direction drawn from the lobe: all of them together shine as the lobe does, blurred by a cosine, with its energy.  Those by
+`trace_by_power` shine about it more narrowly, by a cosine that is stretched along it (Heitz, Dupuy, Hill & Neubelt 2016,
+Real-Time Polygonal-Light Shading with Linearly Transformed Cosines): 1 / sqrt(1 + b) times as wide, b their sharpness.
 Only diffuse reflections count as bounces, as in Cycles; the first surface that a lamp lights is free in any case.
 """
 
@@ -22,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import kernel, leaf
+from .jit import inlined, kernel, leaf
 from .lamps.emission import emit
 from .rays.offsets import hit_point, offset_origin
 from .rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
@@ -54,12 +56,16 @@ _MAX_PASSED = 64  # transparent surfaces that one flight passes at most
 _MAX_ADJOINT = np.float32(8.0)  # bound of |ns.w| / |ng.w|: beyond it a smooth normal is far from its triangle
 _MORE_SURFACES = 4  # that a path may meet beyond its diffuse bounces, by glossy reflections
 LEAST_POWER = 1.0  # of the mean share of its light that a particle keeps at a first surface: what surely flies on by `trace_by_power`
+# Most `sharpness` of lights by `trace_by_power`: narrower ones are seen as spots, for there are only so many of them.
+SHARPEST = np.float32(8.0)
+# Times 1 / roughness^4: the sharpness of a light that shines about as widely as the lobe that its direction was drawn from.
+_AS_WIDE = np.float32(0.25)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
 
 class Vpls(NamedTuple):
-    """M virtual point lights: small patches that shine with a cosine about their normal.
+    """M virtual point lights: small patches that shine with a cosine about their normal, or more narrowly.
 
     position: (M, 3) float32.  error: (M,) float32, rounding error of the position (m).  normal: (M, 3) float32,
     unit geometric normal on the lit side, or the direction of a glossy reflection.  surface_normal: (M, 3) float32, the
@@ -67,7 +73,7 @@ class Vpls(NamedTuple):
     the surface itself hides of a glossy reflection included); the irradiance at a point x is flux / pi * cos cos' / r^2.
     emitter: (M,) int32, where the light came from.  bounce: (M,) int32, 1 for light that left one surface.
     side: (M,) int32, of the surface, as `surface_side` has it.  shine: (M,) uint8, 1 where a lamp's light was reflected by a glossy lobe that
-    is not `layout.WIDE`.
+    is not `layout.WIDE`.  sharpness: (M,) float32, b of a light that shines with (1 + b) c / (1 + b (1 - c^2))^2 instead of the cosine c.
     """
 
     position: np.ndarray
@@ -79,12 +85,15 @@ class Vpls(NamedTuple):
     bounce: np.ndarray
     side: np.ndarray
     shine: np.ndarray
+    sharpness: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> Vpls:
         """Room for n lights, not set."""
         f, e = np.float32, np.empty
-        return Vpls(e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e((n, 3), f), *(e(n, np.int32) for _ in range(3)), e(n, np.uint8))
+        return Vpls(
+            e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e((n, 3), f), *(e(n, np.int32) for _ in range(3)), e(n, np.uint8), e(n, f)
+        )
 
     def take(self, index) -> Vpls:
         """The lights at `index` (anything that indexes an array)."""
@@ -94,6 +103,12 @@ class Vpls(NamedTuple):
     def concatenate(parts: list[Vpls]) -> Vpls:
         """All lights of `parts`, in order."""
         return Vpls(*(np.concatenate(arrays) for arrays in zip(*parts))) if parts else Vpls.allocate(0)
+
+
+@inlined
+def _flattened(c, sharpness):
+    """c, between a light's direction and the normal of the surface that cuts it off, after what stretches the light to a cosine."""
+    return c / math.sqrt(c * c + (_1 - c * c) / (_1 + sharpness))
 
 
 @leaf
@@ -118,10 +133,11 @@ def _reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2):
 
 
 @kernel
-def _trace_particles(scene, begin, end, survivors, least, bounces, seed, vpls):
+def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, seed, vpls):
     """Fly the particles begin..end-1. survivors: (L,) int64, how many of all fly to surface 0..L-1.
 
     least: of those, what has kept a smaller share of the light that it was born with goes on by chance, with so much.
+    sharpest: the most `sharpness` of a light.
 
     bounces: diffuse reflections of a path at most, that of its first surface counted even if it is glossy.
 
@@ -244,12 +260,15 @@ def _trace_particles(scene, begin, end, survivors, least, bounces, seed, vpls):
                     if scattered[lane] > bounces:
                         flying[lane] = False
                         continue
-                    lit = _1
+                    lit, sharp = _1, _0
+                    shine = glossy and bounce == 0 and surface[ROUGHNESS] < WIDE
                     if glossy:
                         wx, wy, wz, r, g, b = _reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2)
                         r, g, b = r / chance, g / chance, b / chance
-                        # About w, a cosine is cut off by the surface; what is left has the light of all of it.
-                        lit = np.float32(2.0) / (_1 + gx * wx + gy * wy + gz * wz)
+                        alpha = surface[ROUGHNESS] * surface[ROUGHNESS]
+                        sharp = min(sharpest, _AS_WIDE / max(alpha * alpha, np.float32(1e-12)))
+                        # About w, it is cut off by the surface; what is left has the light of all of it.
+                        lit = np.float32(2.0) / (_1 + _flattened(gx * wx + gy * wy + gz * wz, sharp))
                     else:
                         lx, ly, lz = cosine_hemisphere(u1, u2)
                         wx, wy, wz = to_world(lx, ly, lz, gx, gy, gz)
@@ -270,7 +289,7 @@ def _trace_particles(scene, begin, end, survivors, least, bounces, seed, vpls):
                     vpls.emitter[n] = emitter[lane]
                     vpls.bounce[n] = bounce + 1
                     vpls.side[n] = surface_side(scene.material[triangle], behind)
-                    vpls.shine[n] = glossy and bounce == 0 and surface[ROUGHNESS] < WIDE
+                    vpls.shine[n], vpls.sharpness[n] = shine, sharp
                     n += 1
                     kept_sum += (r + g + b) / born[lane]
                     if bounce + 1 < len(survivors) and i < survivors[bounce + 1]:
@@ -308,7 +327,8 @@ def trace_by_power(
 
     Where most particles land on something dark, as from a sun on the ground around a house, few go on by number, and the
     later bounces are a few lights of 10 to 100 times the power of the others.  What a particle has kept of its birth's light
-    counts, not what it carries: where lamps are `focused`, those that are wanted are born with the least.
+    counts, not what it carries: where lamps are `focused`, those that are wanted are born with the least.  Glossy reflections have a
+    `sharpness`, which not all methods shade by.
     Arguments and values as `trace_particles`.
     """
     return _fly(scene, particles, bounces, seed, threads, progress, by_power=True)
@@ -321,7 +341,9 @@ def _fly(
     probe = min(particles, chunk)
     room = Vpls.allocate(probe)
     seed, none = np.uint32(seed), np.float32(0)
-    n, n_rays, albedo_sum, albedo_count, kept_sum = _trace_particles(scene, 0, probe, np.array([probe], np.int64), none, 1, seed, room)
+    n, n_rays, albedo_sum, albedo_count, kept_sum = _trace_particles(
+        scene, 0, probe, np.array([probe], np.int64), none, none, 1, seed, room
+    )
     if albedo_count == 0 or bounces < 1:
         return Vpls.allocate(0), n_rays
     surfaces = bounces + (_MORE_SURFACES if (scene.materials.flags & GLOSSY_LOBE).any() else 0)
@@ -334,7 +356,7 @@ def _fly(
 
     def work(begin, end):
         room = Vpls.allocate((end - begin) * surfaces)
-        n, rays, *_ = _trace_particles(scene, begin, end, survivors, least, bounces, seed, room)
+        n, rays, *_ = _trace_particles(scene, begin, end, survivors, least, SHARPEST if by_power else none, bounces, seed, room)
         return room.take(slice(0, n)), rays
 
     parts = run_chunks(work, particles, chunk, threads, progress)

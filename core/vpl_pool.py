@@ -49,13 +49,16 @@ def _contributions(scene, vpls, begin, end, points, weights, g_max, rays_each, s
     for i in range(begin, end):
         x, y, z = vpls.position[i, 0], vpls.position[i, 1], vpls.position[i, 2]
         nx, ny, nz = vpls.normal[i, 0], vpls.normal[i, 1], vpls.normal[i, 2]
+        sharp = vpls.sharpness[i]
         total = np.float32(0.0)
         for k in range(n):
             dx, dy, dz = x - points.position[k, 0], y - points.position[k, 1], z - points.position[k, 2]
             r2 = dx * dx + dy * dy + dz * dz
             c = max(np.float32(0.0), points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz)
-            c *= max(np.float32(0.0), -(nx * dx + ny * dy + nz * dz))
-            f = weights[k] * min(c / max(r2 * r2, np.float32(1e-30)), g_max)
+            at_light = -(nx * dx + ny * dy + nz * dz)
+            spread = r2 + sharp * (r2 - at_light * at_light)
+            c *= (np.float32(1.0) + sharp) * max(np.float32(0.0), at_light)
+            f = weights[k] * min(c / max(spread * spread, np.float32(1e-30)), (np.float32(1.0) + sharp) * g_max)
             light[k] = f
             total += f
         power = (vpls.flux[i, 0] + vpls.flux[i, 1] + vpls.flux[i, 2]) * np.float32(1 / 3)

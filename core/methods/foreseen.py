@@ -27,14 +27,18 @@ _0 = np.float32(0.0)
 
 @leaf
 def light_up(lights, chosen, px, py, pz, nx, ny, nz, gx, gy, gz, g_max, f, blocks):
-    """What each light of a subset gives a point unshadowed into f (K,), its sums by blocks; the sum of all."""
+    """What each light of a subset gives a point unshadowed into f (K,), its sums by blocks; the sum of all.
+
+    lights: (S, 8, K): position, normal, power times (1 + sharpness) / pi, sharpness.
+    """
     for k in range(len(f)):
         dx, dy, dz = lights[chosen, 0, k] - px, lights[chosen, 1, k] - py, lights[chosen, 2, k] - pz
-        r2_ = dx * dx + dy * dy + dz * dz + np.float32(1e-30)
+        r2 = dx * dx + dy * dy + dz * dz + np.float32(1e-30)
         # A shading normal may look at what the surface turns its back on.
         at_point = min(nx * dx + ny * dy + nz * dz, LARGE * (gx * dx + gy * dy + gz * dz))
         at_light = -(lights[chosen, 3, k] * dx + lights[chosen, 4, k] * dy + lights[chosen, 5, k] * dz)
-        f[k] = lights[chosen, 6, k] * min(g_max, max(_0, at_point) * max(_0, at_light) / (r2_ * r2_))
+        spread = r2 + lights[chosen, 7, k] * (r2 - at_light * at_light)
+        f[k] = lights[chosen, 6, k] * min(g_max, max(_0, at_point) * max(_0, at_light) / (spread * spread))
     total = _0
     for block in range(len(blocks)):
         part = _0
@@ -75,7 +79,7 @@ def foreseen(
 ) -> np.ndarray:  # fmt: skip
     """Irradiance (N,) float32, W/m^2, grey, of points of a picture of `shape` (height, width), without noise to speak of.
 
-    lights: (S, 7, K), of which the first subset is summed.  sights: (N, R) uint8, what each point's shadow rays found; blocks: (N, R) uint8,
+    lights: (S, 8, K), of which the first subset is summed.  sights: (N, R) uint8, what each point's shadow rays found; blocks: (N, R) uint8,
     the lights' blocks.  gathered: (N,), what the gather rays found.
     """
     height, width = shape
@@ -96,7 +100,7 @@ def foreseen(
         visible = (found + PRIOR * tiles[:, None]) / (rays + PRIOR) * len(lights)
     out = np.empty(len(points.pixel), np.float32)
     ambient, visible = ambient.astype(np.float32).reshape(rows, columns), visible.astype(np.float32).reshape(rows, columns, parts)
-    lights = lights if parts else np.zeros((1, 7, 0), np.float32)
+    lights = lights if parts else np.zeros((1, 8, 0), np.float32)
     near = np.float32(g_max / len(lights))  # a light stands for many: where it is close it must not give as much as all of them
     run_chunks(lambda begin, end: _expected(points, lights, visible, ambient, width, begin, end, near, out), len(out), CHUNK, threads)
     return out + np.float32(EVEN * out.mean()) if len(out) else out

@@ -248,7 +248,7 @@ def looks_of(samples, subsets):
 def _sample_lights(scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out, sights, parts):
     """Adds to the points begin..end-1 the light of `counts` (N,) VPLs each, picked by what they give unshadowed; the shadow rays traced.
 
-    Each point looks at a few of the subsets of `lights` (S, 7, K), drawn by a hash.  sights, parts: (N, R), what its rays find, and in
+    Each point looks at a few of the subsets of `lights` (S, 8, K), drawn by a hash.  sights, parts: (N, R), what its rays find, and in
     which of a subset's blocks the light lies.
     """
     size = lights.shape[2]
@@ -330,6 +330,19 @@ def _telling(probes: Probes) -> float:
     light = np.einsum("nc->n", probes.direct[::DEPTH].astype(np.float64))
     squares = float(light @ light)
     return float(light.sum()) ** 2 / squares if squares > 0 else math.inf
+
+
+def light_table(vpls: Vpls, subsets: int) -> np.ndarray:
+    """The lights by subsets, (S, 8, K) float32: position, normal, power times (1 + sharpness) / pi, sharpness; zeros fill whole blocks.
+
+    Every subset takes each so-manyth light, so that where neighbours follow each other all subsets look alike.
+    """
+    lights = np.zeros((subsets, 8, -(-len(vpls.bounce) // (subsets * BLOCK)) * BLOCK), np.float32)
+    for k in range(subsets):
+        part = vpls.take(slice(k, None, subsets))
+        power = part.flux.mean(axis=1) * _INV_PI * (_1 + part.sharpness)
+        lights[k, :, : len(part.bounce)] = np.vstack([part.position.T, part.normal.T, power[None], part.sharpness[None]])
+    return lights
 
 
 class ImportanceSampling:
@@ -439,14 +452,7 @@ class ImportanceSampling:
         self.g_max = np.float32(clamp_of(vpls, points))
         order = np.argsort(morton_codes(vpls.position), kind="stable") if len(vpls.bounce) else np.zeros(0, np.int64)
         self.vpls = vpls.take(order)
-        # Every subset takes each so-manyth light along the curve, so that all of them look alike.
-        m = len(order)
-        subsets = max(1, round(m / SUBSET))
-        self.lights = np.zeros((subsets, 7, -(-m // (subsets * BLOCK)) * BLOCK), np.float32)
-        for k in range(subsets):
-            part = self.vpls.take(slice(k, None, subsets))
-            rows = [part.position.T, part.normal.T, part.flux.mean(axis=1)[None] * _INV_PI]
-            self.lights[k, :, : len(part.bounce)] = np.vstack(rows)
+        self.lights = light_table(self.vpls, max(1, round(len(order) / SUBSET)))
         return self.vpls, counts
 
     def irradiance(self, points: ShadingPoints, progress: Progress | None = None, *, first: int = 0, by_share: bool = False) -> np.ndarray:

@@ -28,6 +28,7 @@ def lights(n, seed=0, make=room):
         np.ones(n, np.int32),
         np.zeros(n, np.int32),
         np.zeros(n, np.uint8),
+        np.zeros(n, np.float32),
     )
 
 

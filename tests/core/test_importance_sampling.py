@@ -5,15 +5,20 @@ import pytest
 
 from lumigate.core import scene as sc
 from lumigate.core.lamps import build_emitters, world_tables
-from lumigate.core.methods.importance_sampling import ImportanceSampling
+from lumigate.core.methods.foreseen import EVEN, VISIBLE, foreseen
+from lumigate.core.methods.importance_sampling import ImportanceSampling, light_table
 from lumigate.core.methods.light_cache import DEPTH, Probes, build_light_cache, look_up, no_cache
 from lumigate.core.methods.partition import strengths, trusted
 from lumigate.core.methods.probes import trace_probes
+from lumigate.core.particles import SHARPEST, trace_by_power
 from lumigate.core.rays import RayScene
 from lumigate.core.threads import Cancelled
 from lumigate.core.transport import transport
 from lumigate.core.view.points import shares
 from lumigate.core.view.primary import view
+from lumigate.core.vpl_pool import UNSEEN, contributions
+
+from .grey_points import points_at
 
 
 @pytest.fixture(scope="module")
@@ -258,6 +263,43 @@ def test_what_glossy_surfaces_reflect_of_lamps_is_left_to_lights():
     cache = build_light_cache(probes, 1, seed=1)
     np.testing.assert_allclose(cache.sent, 1, rtol=1e-4)
     np.testing.assert_allclose(cache.lit[:, 0], 0.4 + 0.6 * cache.share, rtol=1e-4)
+
+
+@pytest.mark.parametrize("roughness, least, most", [(0.2, 0.8, 1.0), (0.45, 0.7, 0.9)])
+def test_what_a_glossy_floor_reflects_keeps_its_direction_and_energy(build, roughness, least, most):
+    # Slanting light on a floor in the middle of a dome: with a cosine about the mirrored way, the dome's centre of light is at .56 of its radius.
+    slant = np.array([np.sin(1.0), 0, -np.cos(1.0)])
+    axes = np.stack([np.cross((0, 1, 0), -slant), (0, 1, 0), -slant])
+    floor = build.geometry(*build.quads([(-0.1, -0.1, 0), (0.1, -0.1, 0), (0.1, 0.1, 0), (-0.1, 0.1, 0)]))
+    scene = build.scene(
+        floor, build.glossy_materials((0.0, 0.0), albedo=0.8, roughness=roughness), lamps=build.lamps(build.lamp(sc.SUN, 2.0, axes=axes, angle=0.01))
+    )
+    with RayScene(scene.geometry.vertices, scene.geometry.triangles) as rays:
+        tables = transport(scene.geometry, scene.materials.tables, rays.tables, build_emitters(scene))
+        vpls, _ = trace_by_power(tables, 4096, 1, seed=1)
+        assert 1 < vpls.sharpness.min() and vpls.sharpness.max() <= SHARPEST
+        u = (np.arange(96) + 0.5) / 96
+        up, turn = np.meshgrid(u, 2 * np.pi * u, indexing="ij")
+        out = np.stack([np.sqrt(1 - up**2) * np.cos(turn), np.sqrt(1 - up**2) * np.sin(turn), up], -1).reshape(-1, 3)
+        radius = 10.0
+        dome = points_at(radius * out, -out)
+        some = vpls.take(np.arange(0, len(vpls.bounce), len(vpls.bounce) // 63))
+    # What each light could give the dome, where nothing hides it from there: all that leaves the floor.
+    elsewhere = build.geometry(*build.quads([(0, 0, -99), (1, 0, -99), (1, 1, -99), (0, 1, -99)]))
+    with RayScene(elsewhere.vertices, elsewhere.triangles) as rays:
+        reach, _ = contributions(transport(elsewhere, scene.materials.tables, rays.tables, tables.emitters), some, dome, np.inf, seed=1)
+    cut = some.normal[:, 2] / np.sqrt(some.normal[:, 2] ** 2 + (1 - some.normal[:, 2] ** 2) / (1 + some.sharpness))
+    leaving = some.flux.mean(axis=1) * (1 + cut) / 2
+    np.testing.assert_allclose(reach / (1 + UNSEEN) * 2 * radius**2 / len(out), leaving, rtol=0.02)
+    # As the shading points see them, all of them visible.
+    lights = light_table(some, 1)
+    n = len(out)
+    sights, blocks = np.full((n, 1), VISIBLE, np.uint8), np.zeros((n, 1), np.uint8)
+    light = foreseen(dome, (1, n), lights, np.float32(1e30), sights, blocks, np.zeros(n, np.float32), 1).astype(np.float64)
+    light -= EVEN / (1 + EVEN) * light.mean()
+    assert light.mean() * 2 * np.pi * radius**2 == pytest.approx(leaving.sum(), rel=0.02)
+    centre = (out * light[:, None]).sum(axis=0) / light.sum()
+    assert least < centre @ (slant * (1, 1, -1)) < most
 
 
 def test_empty_scenes_have_an_empty_cache(room):

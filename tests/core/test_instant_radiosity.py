@@ -11,19 +11,7 @@ from lumigate.core.rays import RayScene
 from lumigate.core.transport import transport
 from lumigate.core.view.points import ShadingPoints
 
-
-def shading_points(position, normal):
-    """Grey points on given positions and normals."""
-    n = len(position)
-    points = ShadingPoints.allocate(n)
-    for field in points:
-        field[...] = 0
-    points.position[:] = position
-    points.ng[:] = points.ns[:] = points.wo[:] = normal
-    points.error[:] = 1e-6
-    points.pixel[:] = np.arange(n)
-    points.albedo[:] = 0.5
-    return points
+from .grey_points import points_at
 
 
 def tables_of(scene):
@@ -59,7 +47,7 @@ def test_a_glossy_floor_sends_light_onwards(build):
         u = (np.arange(400) + 0.5) / 400
         up, turn = np.meshgrid(u, 2 * np.pi * u[::4], indexing="ij")
         out = np.stack([np.sqrt(1 - up**2) * np.cos(turn), np.sqrt(1 - up**2) * np.sin(turn), up], -1).reshape(-1, 3)
-        points = shading_points(1000 * out, -out)
+        points = points_at(1000 * out, -out, 1e-6)
         solver = InstantRadiosity(compensation=0)
         solver.prepare(tables, vpls.take(np.arange(64)), points)
         lit = solver.irradiance(points)[:, 0]
@@ -90,7 +78,7 @@ def test_two_parallel_patches(build, distance):
     with rays:
         vpls, _ = trace_particles(tables, 1 << 16, 1, seed=1)
         u = (np.stack(np.meshgrid(np.arange(16), np.arange(16)), -1).reshape(-1, 2) + 0.5) / 16
-        points = shading_points(np.column_stack([u, np.zeros(len(u))]), (0, 0, 1))
+        points = points_at(np.column_stack([u, np.zeros(len(u))]), (0, 0, 1), 1e-6)
         solver = InstantRadiosity(bounces=1, compensation=64, seed=5)
         solver.prepare(tables, vpls, points)
         got = solver.irradiance(points)[:, 0].mean()
@@ -128,7 +116,7 @@ def test_compensation_gives_back_what_the_clamp_takes(build):
     scene = build.scene(build.geometry(*build.quads(floor, wall)), build.materials((0.7, 0.0)), lamps=lamps)
     tables, rays = tables_of(scene)
     x = np.geomspace(0.003, 0.9, 64)
-    points = shading_points(np.column_stack([x, np.full(64, 0.5), np.zeros(64)]), (0, 0, 1))
+    points = points_at(np.column_stack([x, np.full(64, 0.5), np.zeros(64)]), (0, 0, 1), 1e-6)
     with rays:
         vpls, _ = trace_particles(tables, 1 << 11, 1, seed=2)
         both, clamped = (InstantRadiosity(bounces=1, compensation=samples, seed=1) for samples in (512, 0))
@@ -152,7 +140,7 @@ def corner_irradiance(x):
 
 
 def test_clamp_without_light_is_no_clamp():
-    assert clamp_of(Vpls.allocate(0), shading_points(np.zeros((1, 3)), (0, 0, 1))) == np.inf
+    assert clamp_of(Vpls.allocate(0), points_at(np.zeros((1, 3)), (0, 0, 1), 1e-6)) == np.inf
 
 
 def test_clamp_does_not_hang_on_points_that_see_no_light():
@@ -164,6 +152,6 @@ def test_clamp_does_not_hang_on_points_that_see_no_light():
     for column in vpls:
         column[:] = 0
     vpls.position[:, 0], vpls.normal[:, 2], vpls.flux[:] = np.linspace(-0.1, 0.1, n), 1, 1.0
-    alone = clamp_of(vpls, shading_points(ceiling, (0, 0, -1)))
-    both = ShadingPoints.concatenate([shading_points(floor, (0, 0, 1)), shading_points(ceiling, (0, 0, -1))])
+    alone = clamp_of(vpls, points_at(ceiling, (0, 0, -1), 1e-6))
+    both = ShadingPoints.concatenate([points_at(floor, (0, 0, 1), 1e-6), points_at(ceiling, (0, 0, -1), 1e-6)])
     assert 0.2 * alone < clamp_of(vpls, both) < alone

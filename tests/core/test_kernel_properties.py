@@ -18,7 +18,8 @@ from lumigate.core.rays import RayScene
 from lumigate.core.sampling.maps import cosine_hemisphere
 from lumigate.core.surfaces.microfacet import reflection, sample_reflection
 from lumigate.core.transport import transport
-from lumigate.core.view.points import ShadingPoints
+
+from .grey_points import points_at
 
 ULP = 2.0**-23
 SEEDS = st.integers(0, 2**32 - 1)
@@ -36,16 +37,6 @@ def rotation(rng):
     q, r = np.linalg.qr(rng.normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
     return q if np.linalg.det(q) > 0 else q[::-1]
-
-
-def points_at(position, normal):
-    """Shading points without error radius."""
-    points = ShadingPoints.allocate(len(position))
-    for field in points:
-        field[...] = 0
-    points.position[:], points.ns[:], points.ng[:] = position, normal, normal
-    points.albedo[:] = 0.5
-    return points
 
 
 def vpls_at(position, normal, flux):
