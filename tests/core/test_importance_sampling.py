@@ -272,7 +272,9 @@ def test_what_a_glossy_floor_reflects_keeps_its_direction_and_energy(build, roug
     axes = np.stack([np.cross((0, 1, 0), -slant), (0, 1, 0), -slant])
     floor = build.geometry(*build.quads([(-0.1, -0.1, 0), (0.1, -0.1, 0), (0.1, 0.1, 0), (-0.1, 0.1, 0)]))
     scene = build.scene(
-        floor, build.glossy_materials((0.0, 0.0), albedo=0.8, roughness=roughness), lamps=build.lamps(build.lamp(sc.SUN, 2.0, axes=axes, angle=0.01))
+        floor,
+        build.glossy_materials((0.0, 0.0), albedo=0.8, roughness=roughness),
+        lamps=build.lamps(build.lamp(sc.SUN, 2.0, axes=axes, angle=0.01)),
     )
     with RayScene(scene.geometry.vertices, scene.geometry.triangles) as rays:
         tables = transport(scene.geometry, scene.materials.tables, rays.tables, build_emitters(scene))
