@@ -11,6 +11,7 @@ DESCRIPTIONS = {
     "cathedral": "A Gothic nave with rib vaults: sun and sky through coloured glass onto a polished floor.",
     "furnace": "A closed sphere of one albedo and one emission, whose light is known in closed form.",
     "gallery": "A museum of three halls with 200 spot and point lamps over pictures and sculptures.",
+    "window": "A room with one window in a wide sunlit land: most of its light comes in by way of the ground outside.",
 }
 NAMES: tuple[str, ...] = tuple(DESCRIPTIONS)
 

@@ -98,7 +98,9 @@ def test_no_light_leaks_in_or_out(light):
             origin = np.array(location) - 1e-3 * direction
 
 
-@pytest.mark.parametrize("name, triangles", [("atrium", 200_000), ("corridor", 50_000), ("cathedral", 50_000), ("gallery", 50_000)])
+@pytest.mark.parametrize(
+    "name, triangles", [("atrium", 200_000), ("corridor", 50_000), ("cathedral", 50_000), ("gallery", 50_000), ("window", 30_000)]
+)
 def test_full_detail_is_that_of_a_real_scene(name, triangles):
     sample_scenes.build(name)
     assert triangle_count() >= triangles
@@ -119,6 +121,11 @@ def test_furnace_radiance_approaches_its_closed_form():
     assert indirect_radiance(0.5, 2.0, 1) == pytest.approx(0.5)
     emitted, direct = 2.0, 0.5 * 2.0
     assert emitted + direct + indirect_radiance(0.5, 2.0, 60) == pytest.approx(2.0 / (1 - 0.5))
+
+
+def test_windows_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="does not fit"):
+        sample_scenes.build("window", detail="low", width=4.0)
 
 
 def test_gallery_has_the_lamps_it_promises():
