@@ -1,7 +1,7 @@
 """A room with one window in a wide sunlit land: what lights it comes in by way of the ground outside, or as one patch of sun.
 
 Nearly all of the sun's light falls where nobody looks, and of the rest nearly all leaves by no window: hard for every method
-that sends particles from the lamps.  The window is in the wall at x = 5 m; the camera looks towards it along the left wall.
+that sends particles from the lamps.  The window is in the wall at x = 5 m; the camera looks towards it from beside the right wall.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def _house(detail: Detail, look: dict[str, Surface], width: float, height: float
 
 
 def _furnish(detail: Detail, look: dict[str, Surface]) -> None:
-    """What stands in the room, away from the camera at the right of the back wall."""
+    """What stands and hangs in the room, away from the camera in the corner of back and right wall."""
     books = [look[key] for key in ("oak", "red book", "green book", "tan book", "blue book")]
     for index, x in enumerate((2.2, 3.65)):
         shelf = mesh("Bookcase", bookcase(detail, 220 + index, 1.4, 2.1, 6, 4), books)
