@@ -4,6 +4,9 @@ Emitters near the scene are few and are then sampled one by one ("groups"), or m
 is one group.  A point's samples are dealt to the groups by what each could send there unshadowed, at least one to
 each that can send anything; where there are fewer samples than groups, the groups are drawn at random.
 
+Half of the rays to the world are aimed at where the other half of the neighbours' rays have found it (`world_guide`).  They leave from
+all places where a pixel shows the surface, so that edges of shadows within it are smooth.
+
 The same rays carry the light that glossy lobes reflect, which they share with rays drawn from the lobes (see
 `methods.glossy`) by multiple importance sampling.
 """
@@ -31,9 +34,12 @@ from .lookup import can_be_met, emitter_density, share_of
 from .sample import sample_emitter
 from .tables import AXIS_Z, CASTS_SHADOW, ONE_MINUS_COS, SEEN_BY_GLOSSY, TRIANGLE, WORLD
 from .tree import CUT, choose, cut_estimate, cut_for, descend, importance
+from .world import world_density, world_radiance
+from .world_guide import LOW, NEAR, aim, draw, forget, look_around, new_world_guide, remember
 
 CHUNK = 4096  # points a chunk
-_BLOCK = 64  # points whose rays are traced together, lamp by lamp
+_BLOCK, _BLOCK_RAYS = 1024, 8192  # points whose rays are traced together, lamp by lamp, and the most of these rays, nearly
+_GUIDED = np.uint32(0x6D1D)
 _DEFENSIVE = np.float32(0.1)  # share of the samples dealt evenly to the groups that can send light
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -44,7 +50,7 @@ _SHORT = np.float32(1.0 - 1e-5)
 
 
 class Receivers(NamedTuple):
-    """N points to be lit, as `view.points.ShadingPoints`; the arrays from wo on are empty where no point has a lobe."""
+    """N points to be lit, as `view.points.ShadingPoints`; those from wo to albedo are empty where no point has a lobe; spread is (N, 0, 3) where points have one place each."""
 
     position: np.ndarray
     ns: np.ndarray
@@ -55,6 +61,7 @@ class Receivers(NamedTuple):
     f90: np.ndarray
     roughness: np.ndarray
     albedo: np.ndarray
+    spread: np.ndarray
 
 
 @inlined
@@ -235,150 +242,312 @@ def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, g
     return r, g, b
 
 
-@inlined
-def _add_light(out, i, c, share, r, g, b):
-    """Adds a share of (r, g, b) to row i of `out`, from column c on."""
-    out[i, c] += share * r
-    out[i, c + 1] += share * g
-    out[i, c + 2] += share * b
+class _Block(NamedTuple):
+    """What is known of the B points of a block and their G groups of emitters.
+
+    estimate, weight: (B, G) float32, unshadowed irradiance, and weight of a sample.  count: (B, G) int32, samples of each group.
+    first: (B,) int32, how many of the world's samples come first, where the others are aimed by what neighbours found.
+    members, cdf: (B, CUT), size: (B,), the cut through the tree of emitters.
+    lobe: (B, LOBE) float32.  drawn: (B,) int64, rays drawn from the lobe.  expected: (B, G) float32, samples beside those.
+    """
+
+    estimate: np.ndarray
+    weight: np.ndarray
+    count: np.ndarray
+    first: np.ndarray
+    members: np.ndarray
+    cdf: np.ndarray
+    size: np.ndarray
+    lobe: np.ndarray
+    drawn: np.ndarray
+    expected: np.ndarray
+
+
+class _Rays(NamedTuple):
+    """R shadow rays of a block.
+
+    ray: (R, 7) float32, origin, direction, end of the range; the end is below 0 where nothing may stand in the way.
+    light, glossy: (R, 3) float32, what they bring if nothing does.
+    point, column: (R,) int32, of the block and of the output.  turn: (R,) int32, number among the first samples of the world, -1 for others.
+    through: (R, 3) float32, the part that gets through.  clear: (R,) float32, the part of that which passed no glass.
+    """
+
+    ray: np.ndarray
+    light: np.ndarray
+    glossy: np.ndarray
+    point: np.ndarray
+    column: np.ndarray
+    turn: np.ndarray
+    through: np.ndarray
+    clear: np.ndarray
 
 
 @kernel
-def _trace_pending(scene, packet, rows, surface, pending, owner, column, n, out, glossy):
-    """Trace the n pending rays and add what gets through to their points, from column (WIDTH,) on; what passes glass to the second half."""
-    half = out.shape[1] // 2
-    for lane in range(WIDTH):
-        if lane < n:
-            p = pending[lane]
-            set_ray(packet, lane, p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW)
+def _new_block(points, groups):
+    f, i = np.float32, np.int32
+    return _Block(
+        np.zeros((points, groups), f), np.zeros((points, groups), f), np.zeros((points, groups), i), np.zeros(points, i),
+        np.empty((points, CUT), i), np.empty((points, CUT), f), np.empty(points, np.int64),
+        np.full((points, LOBE), -_1), np.zeros(points, np.int64), np.zeros((points, groups), f),
+    )  # fmt: skip
+
+
+@kernel
+def _new_rays(n):
+    f, i = np.float32, np.int32
+    return _Rays(
+        np.empty((n, 7), f), np.empty((n, 3), f), np.zeros((n, 3), f), np.empty(n, i), np.empty(n, i), np.empty(n, i),
+        np.empty((n, 3), f), np.empty(n, f),
+    )  # fmt: skip
+
+
+@leaf
+def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, block):
+    """Row k of `block` for point i."""
+    emitters = scene.emitters
+    tree = emitters.tree
+    px, py, pz = points.position[i, 0], points.position[i, 1], points.position[i, 2]
+    sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+    for g in range(len(emitters.groups)):
+        if emitters.groups[g] < 0:
+            block.size[k], block.estimate[k, g] = cut_for(
+                tree.nodes, tree.two_sided, tree.children, tree.root, px, py, pz, sx, sy, sz, block.members[k], block.cdf[k]
+            )
         else:
-            disable_ray(packet, lane)
-    occluded_packet(scene.rays, OPAQUE, packet, n)
-    for lane in range(n):
-        if is_occluded(packet, lane):
+            block.estimate[k, g] = group_estimate(emitters, g, px, py, pz, sx, sy, sz)
+    deal(block.estimate[k], samples, to_unit(hash_combine(hash_combine(seed, i), first)), block.count[k], block.weight[k])
+    if len(points.wo) > 0:
+        set_point_lobe(points, i, block.lobe[k])
+        block.drawn[k] = reflection_count(block.lobe[k], points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], reflections)
+        if block.drawn[k] > 0:
+            expected_samples(emitters, px, py, pz, sx, sy, sz, samples, block.estimate[k], spare, block.expected[k])
+    block.first[k] = 0
+    for g in range(len(emitters.groups)):
+        if _is_world(emitters, g):
+            n = block.count[k, g]
+            by_chance = abs(np.float32(n) * block.weight[k, g] - _1) > np.float32(1e-3)  # where samples are scarce
+            block.first[k] = n if by_chance else (n + 1) // 2
+
+
+@inlined
+def _is_world(emitters, g):
+    return emitters.groups[g] >= 0 and emitters.kind[emitters.groups[g]] == WORLD
+
+
+@inlined
+def _place(points, i, index, scramble):
+    """One of the places of point i, by the sample's number."""
+    px, py, pz = points.position[i, 0], points.position[i, 1], points.position[i, 2]
+    places = points.spread.shape[1] + 1
+    if places > 1:
+        # All of them in turn, in a new order each time: later coordinates of the sequence would take as long as the rest of the sample.
+        place = np.int64((np.uint32(index) + hash_combine(scramble, np.uint32(index) // np.uint32(places))) % np.uint32(places))
+        if place > 0:
+            px += points.spread[i, place - 1, 0]
+            py += points.spread[i, place - 1, 1]
+            pz += points.spread[i, place - 1, 2]
+    return px, py, pz
+
+
+@inlined
+def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b, w, turn, rays, n):
+    """Ray n from p to the light (r, g, b) of emitter e in the direction d, weighed by w -> n + 1, or n where none of it can arrive."""
+    emitters = scene.emitters
+    sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+    gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
+    cosine = sx * dx + sy * dy + sz * dz
+    if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
+        return n
+    light, glossy, ray = rays.light[n], rays.glossy[n], rays.ray[n]
+    r, g, b = w * r, w * g, w * b
+    light[0], light[1], light[2] = cosine * r, cosine * g, cosine * b
+    if block.lobe[k, ALPHA] > _0:
+        fr, fg, fb = _lobe_share(emitters, e, block.lobe[k], block.drawn[k], block.expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
+        glossy[0], glossy[1], glossy[2] = fr * r, fg * g, fb * b
+    else:
+        glossy[0] = glossy[1] = glossy[2] = _0
+    ray[3], ray[4], ray[5], ray[6] = dx, dy, dz, -_1
+    if emitters.flags[e] & CASTS_SHADOW:
+        ray[0], ray[1], ray[2], ray[3], ray[4], ray[5], ray[6] = shadow_ray(
+            scene, e, u, v, px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz, t
+        )
+    rays.point[n], rays.column[n], rays.turn[n] = k, 3 * emitters.light_group[e], turn
+    return n + 1
+
+
+@leaf
+def _aim(scene, points, start, size, block, seed, first, rows, surface, rays):
+    """Shadow rays of the `size` points from `start` on, but for the world's later ones -> how many."""
+    emitters = scene.emitters
+    tree = emitters.tree
+    n = np.int64(0)  # no literal, for which the callee would be compiled again
+    # Lamp by lamp, so that the rays of a packet go the same way.
+    for g in range(len(emitters.groups)):
+        world = _is_world(emitters, g)
+        most = 0
+        for k in range(size):
+            most = max(most, block.first[k] if world else block.count[k, g])
+        for sample in range(most):
+            for k in range(size):
+                if sample >= (block.first[k] if world else block.count[k, g]):
+                    continue
+                i = start + k
+                scramble = hash_combine(hash_combine(seed, i), g)
+                # Later passes go on where this group's samples (rounded up, where they vary) end.
+                index = first * np.int64(_1 / block.weight[k, g] + np.float32(0.999)) + sample
+                px, py, pz = _place(points, i, index, scramble)
+                sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+                e = emitters.groups[g]
+                w = block.weight[k, g]
+                if e < 0:
+                    e, rarity = choose(
+                        tree.nodes, tree.two_sided, tree.children, px, py, pz, sx, sy, sz, block.members[k], block.cdf[k], block.size[k],
+                        sobol(index, 2, scramble), to_unit(hash_combine(scramble, index)),
+                    )  # fmt: skip
+                    if e < 0:
+                        continue
+                    w *= rarity
+                u1, u2 = sobol(index, 0, scramble), sobol(index, 1, scramble)
+                dx, dy, dz, t, r, gr, b, u, v = sample_emitter(emitters, e, px, py, pz, sx, sy, sz, u1, u2, rows, surface)
+                n = _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, gr, b, w, sample if world else -1, rays, n)
+    return n
+
+
+@leaf
+def _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, surface, rays):
+    """The world's later rays of these points, aimed at where neighbours have found it -> how many; the shares of the first ones are set."""
+    emitters = scene.emitters
+    n = np.int64(0)
+    for g in range(len(emitters.groups)):
+        if not _is_world(emitters, g):
             continue
-        p = pending[lane]
-        tr = tg = tb = clear = _1
-        if scene.emitters.cutouts:
-            tr, tg, tb, clear = transmittance1(
-                scene, packet, rows, surface,
-                p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW,
-            )  # fmt: skip
-        if clear < _0:  # a lens throws it elsewhere: a caustic, which is not found
+        e = emitters.groups[g]
+        for k in range(size):
+            before = np.int64(block.first[k])
+            later = block.count[k, g] - before
+            if later < 1:
+                continue
+            i = start + k
+            sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+            guided = aim(guide, k, sx, sy, sz, before, later)
+            scramble = hash_combine(hash_combine(seed, i), g)
+            for s in range(later):
+                # Unguided, they end the sequence that the first ones have begun; guided, they are one of their own.
+                index = first * np.int64(block.count[k, g]) + before + s
+                key = scramble
+                if guided:
+                    key, index = hash_combine(scramble, _GUIDED), first * later + s
+                px, py, pz = _place(points, i, index, key)
+                u1, u2 = sobol(index, 0, key), sobol(index, 1, key)
+                if guided:
+                    dx, dy, dz, density = draw(guide, u1, u2)
+                    r, gr, b = world_radiance(emitters.world, dx, dy, dz)
+                    w = _1 / (np.float32(before) * world_density(emitters.world, sx, sy, sz, dx, dy, dz) + np.float32(later) * density)
+                else:
+                    dx, dy, dz, _, r, gr, b, _, _ = sample_emitter(emitters, e, px, py, pz, sx, sy, sz, u1, u2, rows, surface)
+                    w = block.weight[k, g]
+                n = _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, np.float32(np.inf), _0, _0, r, gr, b, w, -1, rays, n)
+    return n
+
+
+@leaf
+def _trace(scene, packet, rows, surface, rays, n):
+    """Trace the first n rays -> how many shadow rays these are."""
+    cast = 0
+    for begin in range(0, n, WIDTH):
+        end = min(begin + WIDTH, n)
+        for lane in range(WIDTH):
+            if begin + lane < end and rays.ray[begin + lane, 6] >= _0:
+                p = rays.ray[begin + lane]
+                set_ray(packet, lane, p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW)
+                cast += 1
+            else:
+                disable_ray(packet, lane)
+        occluded_packet(scene.rays, OPAQUE, packet, end - begin)
+        for j in range(begin, end):
+            p = rays.ray[j]
+            tr = tg = tb = clear = _1
+            if p[6] >= _0:
+                if is_occluded(packet, j - begin):
+                    tr = tg = tb = _0
+                elif scene.emitters.cutouts:
+                    tr, tg, tb, clear = transmittance1(scene, packet, rows, surface, p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW)
+                    if clear < _0:  # a lens throws it elsewhere: a caustic, which is not found
+                        tr = tg = tb = _0
+            rays.through[j, 0], rays.through[j, 1], rays.through[j, 2], rays.clear[j] = tr, tg, tb, clear
+    return cast
+
+
+@leaf
+def _learn(scene, points, start, size, rays, n, guide):
+    """What the first n rays tell of the world."""
+    emitters = scene.emitters
+    forget(guide)
+    for j in range(n):
+        if rays.turn[j] < 0:
             continue
-        c, i = column[lane], owner[lane]
-        _add_light(out, i, c, clear, p[7] * tr, p[8] * tg, p[9] * tb)
-        if clear < _1:
-            _add_light(out, i, c + half, _1 - clear, p[7] * tr, p[8] * tg, p[9] * tb)
-        if len(glossy) > 0:
-            _add_light(glossy, i, c, clear, p[10] * tr, p[11] * tg, p[12] * tb)
-            if clear < _1:
-                _add_light(glossy, i, c + half, _1 - clear, p[10] * tr, p[11] * tg, p[12] * tb)
+        i, k = start + rays.point[j], rays.point[j]
+        sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+        dx, dy, dz = rays.ray[j, 3], rays.ray[j, 4], rays.ray[j, 5]
+        sent = light = _0
+        for c in range(3):
+            sent += rays.light[j, c]
+            light += rays.light[j, c] * rays.through[j, c]
+        # The weights of the samples are nearly the same for neighbours.
+        cosine = max(sx * dx + sy * dy + sz * dz, LOW)
+        remember(guide, emitters.world, k, rays.turn[j], dx, dy, dz, sx, sy, sz, sent / cosine, light / cosine)
+    look_around(guide, size)
+
+
+@leaf
+def _collect(rays, n, start, guide, out, glossy):
+    """Add what the first n rays bring; what passed glass goes to the second half."""
+    half = out.shape[1] // 2
+    for j in range(n):
+        i, c = start + rays.point[j], rays.column[j]
+        share = guide.share[rays.point[j], rays.turn[j]] if rays.turn[j] >= 0 else _1
+        clear, behind = share * rays.clear[j], share * (_1 - rays.clear[j])
+        for channel in range(3):
+            light = rays.through[j, channel] * rays.light[j, channel]
+            out[i, c + channel] += clear * light
+            out[i, c + channel + half] += behind * light
+            if len(glossy) > 0:
+                shine = rays.through[j, channel] * rays.glossy[j, channel]
+                glossy[i, c + channel] += clear * shine
+                glossy[i, c + channel + half] += behind * shine
 
 
 @kernel
 def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, out, glossy):
     """Direct irradiance of the points begin..end-1 into `out`, what their lobes reflect into `glossy` -> number of rays."""
-    position, ns, ng, error = points.position, points.ns, points.ng, points.error
-    emitters = scene.emitters
-    tree = emitters.tree
-    n_groups = len(emitters.groups)
+    groups = len(scene.emitters.groups)
     packet = new_packet()
     rows = new_registers(scene.materials)
     surface = np.zeros(SURFACE, np.float32)
-    pending = np.zeros((WIDTH, 13), np.float32)
-    owner, column = np.zeros(WIDTH, np.int64), np.zeros(WIDTH, np.int64)
-    estimate = np.empty(n_groups, np.float32)
-    members = np.empty((_BLOCK, CUT), np.int32)
-    cdf = np.empty((_BLOCK, CUT), np.float32)
-    cut_size = np.empty(_BLOCK, np.int64)
-    count = np.zeros((_BLOCK, n_groups), np.int32)
-    weight = np.zeros((_BLOCK, n_groups), np.float32)
-    lobes = np.full((_BLOCK, LOBE), -_1)
-    drawn = np.zeros(_BLOCK, np.int64)
-    expected = np.zeros((_BLOCK, n_groups), np.float32)
-    spare = np.empty(n_groups, np.int32)
+    spare = np.empty(groups, np.int32)
+    block_size = max(NEAR, min(_BLOCK, end - begin, _BLOCK_RAYS // samples // NEAR * NEAR))
+    rays, later = _new_rays(block_size * samples), _new_rays(block_size * (samples // 2))
+    block = _new_block(block_size, groups)
+    guide = new_world_guide(block_size, samples)
+    out[begin:end] = _0
+    if len(glossy) > 0:
+        glossy[begin:end] = _0
     n_rays = 0
-    for start in range(begin, end, _BLOCK):
-        size = min(_BLOCK, end - start)
+    for start in range(begin, end, block_size):
+        size = min(block_size, end - start)
+        guided = False
         for k in range(size):
-            i = start + k
-            out[i] = _0
-            px, py, pz, sx, sy, sz = position[i, 0], position[i, 1], position[i, 2], ns[i, 0], ns[i, 1], ns[i, 2]
-            for g in range(n_groups):
-                if emitters.groups[g] < 0:
-                    cut_size[k], estimate[g] = cut_for(
-                        tree.nodes, tree.two_sided, tree.children, tree.root, px, py, pz, sx, sy, sz, members[k], cdf[k]
-                    )
-                else:
-                    estimate[g] = group_estimate(emitters, g, px, py, pz, sx, sy, sz)
-            deal(estimate, samples, to_unit(hash_combine(hash_combine(seed, i), first)), count[k], weight[k])
-            if len(glossy) > 0:
-                glossy[i] = _0
-                set_point_lobe(points, i, lobes[k])
-                drawn[k] = reflection_count(lobes[k], points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], reflections)
-                if drawn[k] > 0:
-                    expected_samples(emitters, px, py, pz, sx, sy, sz, samples, estimate, spare, expected[k])
-        n = np.int64(0)  # no literal, for which the callee would be compiled again
-        # Lamp by lamp, so that the rays of a packet go the same way.
-        for g in range(n_groups):
-            most = 0
-            for k in range(size):
-                most = max(most, count[k, g])
-            for sample in range(most):
-                for k in range(size):
-                    if sample >= count[k, g]:
-                        continue
-                    i = start + k
-                    px, py, pz = position[i, 0], position[i, 1], position[i, 2]
-                    sx, sy, sz = ns[i, 0], ns[i, 1], ns[i, 2]
-                    scramble = hash_combine(hash_combine(seed, i), g)
-                    # Later passes go on where this group's samples (rounded up, where they vary) end.
-                    index = first * np.int64(_1 / weight[k, g] + np.float32(0.999)) + sample
-                    e = emitters.groups[g]
-                    rarity = _1
-                    if e < 0:
-                        pick = to_unit(hash_combine(scramble, index))
-                        e, rarity = choose(
-                            tree.nodes, tree.two_sided, tree.children, px, py, pz, sx, sy, sz, members[k], cdf[k], cut_size[k],
-                            sobol(index, 2, scramble), pick,
-                        )  # fmt: skip
-                        if e < 0:
-                            continue
-                    u1, u2 = sobol(index, 0, scramble), sobol(index, 1, scramble)
-                    dx, dy, dz, t, r, gr, b, u, v = sample_emitter(emitters, e, px, py, pz, sx, sy, sz, u1, u2, rows, surface)
-                    cosine = sx * dx + sy * dy + sz * dz
-                    gx, gy, gz = ng[i, 0], ng[i, 1], ng[i, 2]
-                    if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, gr, b) > _0:
-                        continue
-                    w = rarity * weight[k, g]
-                    fr = fg = fb = _0
-                    if lobes[k, ALPHA] > _0:
-                        fr, fg, fb = _lobe_share(emitters, e, lobes[k], drawn[k], expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
-                        fr, fg, fb = fr * w * r, fg * w * gr, fb * w * b
-                    w *= cosine
-                    c = 3 * np.int64(emitters.light_group[e])
-                    if not emitters.flags[e] & CASTS_SHADOW:
-                        out[i, c] += w * r
-                        out[i, c + 1] += w * gr
-                        out[i, c + 2] += w * b
-                        if lobes[k, ALPHA] > _0:
-                            glossy[i, c] += fr
-                            glossy[i, c + 1] += fg
-                            glossy[i, c + 2] += fb
-                        continue
-                    p = pending[n]
-                    p[0], p[1], p[2], p[3], p[4], p[5], p[6] = shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error[i], dx, dy, dz, t)
-                    p[7], p[8], p[9] = w * r, w * gr, w * b
-                    p[10], p[11], p[12] = fr, fg, fb
-                    owner[n], column[n] = i, c
-                    n += 1
-                    n_rays += 1
-                    if n == WIDTH:
-                        _trace_pending(scene, packet, rows, surface, pending, owner, column, n, out, glossy)
-                        n = np.int64(0)
-        if n > 0:
-            _trace_pending(scene, packet, rows, surface, pending, owner, column, n, out, glossy)
+            _prepare(scene, points, start + k, k, samples, reflections, seed, first, spare, block)
+            guided = guided or block.first[k] > 0
+        n = _aim(scene, points, start, size, block, seed, first, rows, surface, rays)
+        n_rays += _trace(scene, packet, rows, surface, rays, n)
+        n_later = np.int64(0)
+        if guided:
+            _learn(scene, points, start, size, rays, n, guide)
+            n_later = _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, surface, later)
+        _collect(rays, n, start, guide, out, glossy)  # not before the later ones are aimed, which tell what share the first have
+        n_rays += _trace(scene, packet, rows, surface, later, n_later)
+        _collect(later, n_later, start, guide, out, glossy)
     return n_rays
 
 
@@ -439,7 +608,8 @@ def direct_light(
         receivers = Receivers(*(getattr(points, name) for name in Receivers._fields))
     else:
         none = np.zeros((0, 3), np.float32)
-        receivers = Receivers(points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none)
+        spread = getattr(points, "spread", np.zeros((len(points.position), 0, 3), np.float32))
+        receivers = Receivers(points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none, spread)
     n, columns = len(points.position), 3 * scene.emitters.light_groups
     # Side by side: light that met no glass, light that passed it.
     out = np.zeros((n, 2 * columns), np.float32)

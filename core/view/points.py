@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+SPREAD = 3  # further places of a point on its surface
+
 
 class ShadingPoints(NamedTuple):
     """N points on surfaces, in the order in which rays from them are coherent.
@@ -18,6 +20,7 @@ class ShadingPoints(NamedTuple):
     wo: (N, 3) float32, unit, towards the viewer.
     f0, f90: (N, 3), roughness: (N,) float32, Schlick's glossy lobe (f0 and f90 times the share of the pixel).
     behind_glass: (N,) uint8, 1 where the view passes glass: the pixel shows all light of the point as transmitted light.
+    spread: (N, SPREAD, 3) float32, where else the pixel shows the surface, as offsets from the position (m); 0 for nowhere.
     """
 
     position: np.ndarray
@@ -32,14 +35,15 @@ class ShadingPoints(NamedTuple):
     f90: np.ndarray
     roughness: np.ndarray
     behind_glass: np.ndarray
+    spread: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> ShadingPoints:
-        """Room for n points, not set but for `behind_glass`, which is 0."""
+        """Room for n points, not set but for `behind_glass` and `spread`, which are 0."""
         f, e = np.float32, np.empty
         return ShadingPoints(
             e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32),
-            e((n, 3), f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f), np.zeros(n, np.uint8),
+            e((n, 3), f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f), np.zeros(n, np.uint8), np.zeros((n, SPREAD, 3), f),
         )  # fmt: skip
 
     def take(self, index) -> ShadingPoints:

@@ -44,7 +44,7 @@ from ..surfaces.program import evaluate, new_registers, reflected_view
 from ..threads import Progress, run_chunks
 from .camera import camera_ray, camera_tables, pixel_sample
 from .lamps import lamps_between, lamps_in_tile, visible_lamps
-from .points import ShadingPoints
+from .points import SPREAD, ShadingPoints
 
 TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample index
 PANES = 2  # surfaces of glass that a sample shows as well as what lies behind them
@@ -316,7 +316,7 @@ def _view_tiles(
     most = (1 + PANES) * samples
     sample = np.empty((most, 10), np.float32)
     group_of = np.empty(most, np.int32)
-    first = np.empty(most, np.int32)
+    first, member = np.empty(most, np.int32), np.empty(most, np.int32)
     group = np.empty((most, 11), np.float32)
     pixel_width = abs(camera.window[1] - camera.window[0]) / np.float32(camera.size[0])
     n_points = 0
@@ -427,14 +427,14 @@ def _view_tiles(
                 # A member drawn at random stands for all: right in the mean, however steeply the light varies in the pixel.
                 inverse = np.float32(1.0) / group[k, 0]
                 number = py * camera.size[0] + px
+                members = np.int64(group[k, 0])
                 left = np.int64(uniform(seed, number, k, 1) * group[k, 0])
-                best = -1
+                n = 0
                 for s in range(seen.count[lane]):
                     if group_of[s] == k:
-                        best = s
-                        left -= 1
-                        if left < 0:
-                            break
+                        member[n] = s
+                        n += 1
+                best = member[min(left, members - 1)]
                 i = n_points
                 n_points += 1
                 for c in range(3):
@@ -446,6 +446,11 @@ def _view_tiles(
                     points.f0[i, c] = group[k, 4 + c]
                     points.f90[i, c] = group[k, 7 + c]
                 points.error[i] = sample[best, 3]
+                for j in range(SPREAD):
+                    other = member[(left + (j + 1) * members // (SPREAD + 1)) % members]
+                    points.error[i] = max(points.error[i], sample[other, 3])
+                    for c in range(3):
+                        points.spread[i, j, c] = sample[other, c] - sample[best, c]
                 points.pixel[i] = pixel
                 points.triangle[i] = triangles[lane, best, 0]
                 points.roughness[i] = group[k, 10] * inverse

@@ -38,11 +38,13 @@ def test_glossy_sphere_interior(build, method, bounces, roughness):
     )
     # Those of virtual area lights are the first of their sequence, not the best of eight times as many: more noise from as many.
     vpls = 4096 if method == "virtual-area-lights" else 1024
+    # Pictures of one seed deviate by .8 %.
+    seeds = 8 if method == "importance-sampling" else 4
     pictures = [
         render(
             scene, RenderSettings(method=method, vpls=vpls, bounces=bounces, pixel_samples=1, direct_samples=16, reflections=8, seed=seed)
         ).layers
-        for seed in range(4)
+        for seed in range(seeds)
     ]
     irradiance, glossy = (np.mean([layers[name] for layers in pictures]) for name in ("Irradiance", "GlossyIndirect"))
     terms = [(d + g) * d**m / (1 - g) ** (m + 1) for m in range(bounces + 1)]

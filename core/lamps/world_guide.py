@@ -1,0 +1,173 @@
+"""Where the world is seen: rays that neighbours have sent to it tell where to send more.
+
+Through windows, between columns and under eaves a point sees little of the sky, and most rays drawn from its radiance or
+the cosine end at a wall.  So half of the rays to the world are aimed at where the first half of all neighbours' rays
+have found it, which costs no ray of its own; both halves are combined by the balance heuristic (Veach 1997, Section 9.2),
+so that what the neighbours have missed is found as before.  A point's own rays have no say in where its later ones go, or
+these would be right in the mean only together with all others.  (Path guiding by directional histograms: Jensen 1995,
+"Importance driven path tracing using the photon map".)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..jit import inlined, kernel, leaf
+from .world import world_density
+
+NEAR = 64  # points that follow each other and share what they see of the world
+_REACH = 4  # of these rows, how many to either side count as neighbours
+_ROWS, _COLUMNS = 8, 16
+CELLS = _ROWS * _COLUMNS  # of the sphere of directions, all of one size
+LOW = np.float32(0.1)  # cosines below it count as this: a cell is seen under many
+_OPEN = np.float32(0.5)  # where more of the world than this is open, nothing is gained
+_NOTHING = np.float32(1e-5)  # less than this is the rounding error of taking a point's own light out
+_PER_AREA = np.float32(CELLS / (4 * math.pi))
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+_HALF = np.float32(0.5)
+
+
+class WorldGuide(NamedTuple):
+    """What B points have found of the world by T samples each.
+
+    seen, around: (B / NEAR, CELLS + 1) float32, light that the points of a row have found in each cell, and all that they would have found
+        if nothing stood in the way; and the same of the row's neighbours.
+    sent: (B,) float32, what one point would have found.
+    cell: (B, T) int32, of a sample, -1 where nothing arrives.  light: (B, T) float32, what it has added to `seen`.
+    density: (B, T) float32, with which it was drawn (per sr).
+    share: (B, T) float32, what of it counts beside the later samples, where its weight is that of one of all.
+    cdf: (CELLS,) float32, of the point that was last aimed for.
+    """
+
+    seen: np.ndarray
+    around: np.ndarray
+    sent: np.ndarray
+    cell: np.ndarray
+    light: np.ndarray
+    density: np.ndarray
+    share: np.ndarray
+    cdf: np.ndarray
+
+
+@kernel
+def new_world_guide(points, samples):
+    """Room for so many points and samples."""
+    f, rows = np.float32, (points + NEAR - 1) // NEAR
+    return WorldGuide(
+        np.empty((rows, CELLS + 1), f), np.empty((rows, CELLS + 1), f), np.empty(points, f),
+        np.empty((points, samples), np.int32), np.empty((points, samples), f), np.empty((points, samples), f), np.ones((points, samples), f), np.empty(CELLS, f),
+    )  # fmt: skip
+
+
+def _middles() -> np.ndarray:
+    """(3, CELLS) float32: the direction in the middle of each cell."""
+    return np.array([in_cell.py_func(cell, _HALF, _HALF) for cell in range(CELLS)], np.float32).T.copy()
+
+
+@inlined
+def cell_of(dx, dy, dz):
+    """Cell of a unit direction."""
+    row = np.int64((dz + _1) * np.float32(_ROWS / 2))
+    column = np.int64((np.float32(math.atan2(dy, dx)) * np.float32(0.5 / math.pi) + _HALF) * np.float32(_COLUMNS))
+    return min(max(row, 0), _ROWS - 1) * _COLUMNS + min(max(column, 0), _COLUMNS - 1)
+
+
+@inlined
+def in_cell(cell, u, v):
+    """Unit direction at (u, v) in a cell, uniform where these are."""
+    z = (np.float32(cell // _COLUMNS) + v) * np.float32(2 / _ROWS) - _1
+    phi = ((np.float32(cell % _COLUMNS) + u) * np.float32(1 / _COLUMNS) - _HALF) * np.float32(2 * math.pi)
+    r = np.float32(math.sqrt(max(_0, _1 - z * z)))
+    return r * np.float32(math.cos(phi)), r * np.float32(math.sin(phi)), z
+
+
+_MIDDLES = _middles()
+
+
+@leaf
+def forget(guide):
+    """Before the first sample of other points."""
+    guide.seen[:] = _0
+    guide.sent[:] = _0
+    guide.cell[:] = -1
+    guide.share[:] = _1
+
+
+@leaf
+def remember(guide, world, k, turn, dx, dy, dz, sx, sy, sz, sent, light):
+    """Sample `turn` of point k, normal s, finds `light` of the `sent` in the direction d (radiance over its density)."""
+    guide.sent[k] += sent
+    guide.seen[k // NEAR, CELLS] += sent
+    if not light > _0:
+        return
+    cell = cell_of(dx, dy, dz)
+    guide.cell[k, turn], guide.light[k, turn] = cell, light
+    guide.density[k, turn] = world_density(world, sx, sy, sz, dx, dy, dz)
+    guide.seen[k // NEAR, cell] += light
+
+
+@leaf
+def look_around(guide, points):
+    """After the last sample of the first so many points."""
+    rows = (points + NEAR - 1) // NEAR
+    for row in range(rows):
+        guide.around[row, :] = _0
+        for other in range(max(0, row - _REACH), min(row + _REACH + 1, rows)):
+            for cell in range(CELLS + 1):
+                guide.around[row, cell] += guide.seen[other, cell]
+
+
+@leaf
+def aim(guide, k, sx, sy, sz, first, later):
+    """Get ready to draw for point k, normal s; whether its neighbours have found any light, but not most of what there is.
+
+    first, later: how many samples it has and will get; `share` is set for the first.
+    """
+    cdf = guide.cdf
+    row = k // NEAR
+    for cell in range(CELLS):
+        cdf[cell] = guide.around[row, cell]
+    for s in range(first):
+        if guide.cell[k, s] >= 0:
+            cdf[guide.cell[k, s]] -= guide.light[k, s]
+    total = found = _0
+    for cell in range(CELLS):
+        found += max(_0, cdf[cell])
+        cosine = sx * _MIDDLES[0, cell] + sy * _MIDDLES[1, cell] + sz * _MIDDLES[2, cell]
+        total += max(_0, cdf[cell]) * max(cosine, LOW)
+        cdf[cell] = total
+    sent = guide.around[row, CELLS] - guide.sent[k]
+    if not total > _0 or found < _NOTHING * sent or found > _OPEN * sent:
+        return False
+    for s in range(first):
+        if guide.cell[k, s] >= 0:
+            density = guide.density[k, s]
+            both = np.float32(first) * density + np.float32(later) * _density(cdf, guide.cell[k, s])
+            guide.share[k, s] = np.float32(first + later) * density / both
+    return True
+
+
+@inlined
+def _density(cdf, cell):
+    return _PER_AREA * (cdf[cell] - (cdf[cell - 1] if cell > 0 else _0)) / cdf[CELLS - 1]
+
+
+@inlined
+def draw(guide, u, v):
+    """Direction and density (per sr) for the point that `aim` was called for."""
+    cdf = guide.cdf
+    target = u * cdf[CELLS - 1]
+    low, high = 0, CELLS - 1
+    while low < high:
+        middle = (low + high) // 2
+        if cdf[middle] > target:
+            high = middle
+        else:
+            low = middle + 1
+    below = cdf[low - 1] if low > 0 else _0
+    dx, dy, dz = in_cell(low, min((target - below) / max(cdf[low] - below, np.float32(1e-30)), _1), v)
+    return dx, dy, dz, _density(cdf, low)
