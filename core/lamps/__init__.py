@@ -1,7 +1,7 @@
 """Lamps: everything that emits light, as tables, and the two ways of sampling it.
 
 `build` makes the tables from a scene.  `sample` aims from a shading point at one emitter, `tree` chooses among many,
-`direct` sums direct light with shadow rays.  `emission` sends particles out.
+`direct` sums direct light with shadow rays, which `world_guide` aims at what is seen of the world.  `emission` sends particles out.
 """
 
 from .build import build_emitters

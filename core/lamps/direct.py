@@ -50,7 +50,10 @@ _SHORT = np.float32(1.0 - 1e-5)
 
 
 class Receivers(NamedTuple):
-    """N points to be lit, as `view.points.ShadingPoints`; those from wo to albedo are empty where no point has a lobe; spread is (N, 0, 3) where points have one place each."""
+    """N points to be lit, as `view.points.ShadingPoints`.
+
+    The arrays from wo to albedo are empty where no point has a lobe; spread is (N, 0, 3) where each has one place.
+    """
 
     position: np.ndarray
     ns: np.ndarray

@@ -65,7 +65,8 @@ def new_world_guide(points, samples):
 
 def _middles() -> np.ndarray:
     """(3, CELLS) float32: the direction in the middle of each cell."""
-    return np.array([in_cell.py_func(cell, _HALF, _HALF) for cell in range(CELLS)], np.float32).T.copy()
+    plain = getattr(in_cell, "py_func", in_cell)  # it is one where Numba is switched off
+    return np.array([plain(cell, _HALF, _HALF) for cell in range(CELLS)], np.float32).T.copy()
 
 
 @inlined

@@ -5,10 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from lumigate.core import scene as sc
 from lumigate.core.lamps import direct_irradiance, world_guide
 from lumigate.core.sampling.sequences import sobol
 
-from .test_lamps import RECEIVER, UP, lit
+from .test_lamps import RECEIVER, UP, lamp, lit
 
 HALF = 0.25  # of the window's edge
 HEIGHT = 1.0
@@ -51,38 +52,46 @@ def unguided(light, points, samples, seed):
     return np.concatenate(parts)
 
 
-def test_the_sky_through_a_window_is_right_in_the_mean_and_less_noisy():
-    light, points = window(), points_around(4096)
-    expected = math.pi * form_factor()
-    found, _ = direct_irradiance(light.tables, points, 8, 1)
-    values = found[:, 0].astype(np.float64)
+def assert_right_in_the_mean(found, rel):
+    """Irradiances (N, 3) agree with the window's form factor within four standard errors, each below `rel` of it."""
+    values, expected = found[:, 0].astype(np.float64), math.pi * form_factor()
     error = values.std() / math.sqrt(len(values))
     assert abs(values.mean() - expected) < 4 * error
-    assert error < 0.01 * expected
-    alone = unguided(light, points_around(1024), 8, 5)[:, 0]
-    assert values.std() < 0.5 * alone.std()
+    assert error < rel * expected
+
+
+def test_the_sky_through_a_window_is_right_in_the_mean_and_less_noisy():
+    light, points = window(), points_around(4096)
+    found, _ = direct_irradiance(light.tables, points, 8, 1)
+    assert_right_in_the_mean(found, 0.01)
+    assert found[:, 0].std() < 0.5 * unguided(light, points_around(1024), 8, 5)[:, 0].std()
 
 
 def test_two_samples_are_right_in_the_mean():
     """One of them is aimed: its share must not depend on what the other has found."""
     light = window()
-    values = np.concatenate([direct_irradiance(light.tables, points_around(4096, seed=s), 2, s)[0][:, 0] for s in range(8)]).astype(
-        np.float64
+    assert_right_in_the_mean(
+        np.concatenate([direct_irradiance(light.tables, points_around(4096, seed=s), 2, s)[0] for s in range(8)]), 0.01
     )
-    error = values.std() / math.sqrt(len(values))
-    assert abs(values.mean() - math.pi * form_factor()) < 4 * error
-    assert error < 0.01 * math.pi * form_factor()
 
 
 def test_few_neighbours_are_right_in_the_mean():
-    """Rows of a few points, whose own rays are a good part of what is known."""
+    """Points of a row of three, whose own rays are a good part of what is known: what they find is all but uncorrelated."""
     light = window()
-    values = np.concatenate([direct_irradiance(light.tables, points_around(3, seed=s), 4, s)[0][:, 0] for s in range(6000)]).astype(
-        np.float64
+    assert_right_in_the_mean(
+        np.concatenate([direct_irradiance(light.tables, points_around(3, seed=s), 4, s)[0] for s in range(6000)]), 0.02
     )
-    # Points of a row learn from each other, but none from itself: their values are uncorrelated enough for this bound.
-    error = values.std() / math.sqrt(len(values))
-    assert abs(values.mean() - math.pi * form_factor()) < 4 * error
+
+
+def test_rays_leave_from_all_places_of_a_point():
+    """Half of a point's places lie in the shadow of a wide roof's edge: its own is lit."""
+    light = lit(lamp(sc.SUN, 1.0, towards=(0, 0, -1), angle=0.0), quad=(RECEIVER, [(0, -9, 1), (9, -9, 1), (9, 9, 1), (0, 9, 1)]))
+    points = points_around(64, radius=0.0)
+    points.position[:, 0] = -0.1
+    assert np.allclose(direct_irradiance(light.tables, points, 4, 1)[0], 1, rtol=1e-4)
+    points.spread = np.zeros((64, 3, 3), np.float32)
+    points.spread[:, :2, 0] = 0.2
+    assert np.allclose(direct_irradiance(light.tables, points, 4, 1)[0], 0.5, rtol=1e-4)
 
 
 def test_an_open_world_has_no_more_noise_than_before():
