@@ -182,7 +182,7 @@ def light_points(
         with run.stage("direct") as tick:
             light = direct_stage(run, scene, tables, points, settings, threads, tick)
         first, by_glass = light.irradiance if direct else first, light.irradiance_by_glass
-    sampler = cache_stage(run, tables, points, settings, threads)
+    sampler = cache_stage(run, tables, points, settings, threads, texels=len(np.unique(points.pixel)))
     indirect, vpls = indirect_stage(run, tables, points, None, settings, threads, sampler)
     run.vpls += len(vpls.bounce)
     return first, indirect + by_glass
@@ -226,8 +226,13 @@ def direct_stage(
     return lit._replace(glossy=shown.glossy, glossy_by_glass=shown.glossy_by_glass)
 
 
-def cache_stage(run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> ImportanceSampling | None:
-    """The accurate method with its cache of light filled, which reflections use, too; of other methods only previews take a small one."""
+def cache_stage(
+    run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, *, texels: int | None = None
+) -> ImportanceSampling | None:
+    """The accurate method with its cache of light filled, which reflections use, too; of other methods only previews take a small one.
+
+    texels: as of `ImportanceSampling.cache_light`.
+    """
     accurate = settings.method == "importance-sampling"
     if not (accurate or settings.method == "fuzzy-clustering") or settings.bounces < 1 or not tables.emitters.flux.any():
         return None
@@ -240,7 +245,9 @@ def cache_stage(run: Run, tables: Transport, points: ShadingPoints, settings: Re
         )
         tracer = run.sequence.probes if accurate and run.in_turn(settings) else trace_probes
         paths = None if accurate else int(SMALL_CACHE * cache_paths(len(points.pixel), 2))
-        run.rays["light"] += sampler.cache_light(tables, points, tick, paths=paths, tracer=tracer, focus=run.sequence is None)
+        run.rays["light"] += sampler.cache_light(
+            tables, points, tick, paths=paths, texels=texels, tracer=tracer, focus=run.sequence is None
+        )
     return sampler
 
 

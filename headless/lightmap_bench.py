@@ -155,7 +155,9 @@ def _rows(
     peer = min(peers.values(), key=lambda contest: error(contest.image))
     bias = metrics.bias(ours.image[lit][None], mean[lit][None])
     scale = BLACK * mean[lit].mean()
-    black = [int(((image.max(axis=2) < scale) & (mean.max(axis=2) > 2 * scale) & shown).sum()) for image in (ours.image, peer.image)]
+    # Light that one half knows only is a firefly of the reference.
+    known = np.min([half.max(axis=2) for half in halves], axis=0) > 2 * scale
+    black = [int(((image.max(axis=2) < scale) & known & shown).sum()) for image in (ours.image, peer.image)]
     title = f"{name}, {target.size[0]}x{target.size[1]}, {int(shown.sum()):,} texels"
     rows = [
         _row(f"{title}: seconds, and of Cycles at {samples} samples + OIDN", ours.time, "s", peer.time),

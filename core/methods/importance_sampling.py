@@ -315,7 +315,7 @@ def _sample_lights_leaf(
     return rays
 
 
-def cache_paths(points: int, rays: int) -> int:
+def cache_paths(points: int, rays: float) -> int:
     """Of a cache of light for so many points with so many rays each."""
     return max(min(MIN_PATHS, PATHS_A_POINT * points), int(PATHS * min(points, (points * MANY_POINTS) ** 0.5) * rays**0.5))
 
@@ -367,17 +367,21 @@ class ImportanceSampling:
         progress: Progress | None = None,
         *,
         paths: int | None = None,
+        texels: int | None = None,
         tracer: Tracer = trace_probes,
         focus: bool = True,
     ) -> int:
         """Fill the cache of light from `paths` paths that begin at the points (None: as the samples need); the rays traced.
 
+        texels: how many values the points are samples of, None where most points are one: several that share a texel count as rays of it.
         tracer: traces them, or knows some of them already.  focus: whether particles are drawn to this view, which then serve no other one.
         """
         self.scene = scene
         own = paths is None
         if own:
-            paths = cache_paths(len(points.pixel), self.samples + self.gather)
+            n = len(points.pixel)
+            texels = texels or n
+            paths = cache_paths(texels, (self.samples + self.gather) * n / max(1, texels))
         seed = self.seed ^ 0x51AB5
         probes, rays = tracer(scene, points, paths, seed, self.threads, part(progress, 0.0, 0.4))
         if own and focus:
