@@ -8,9 +8,10 @@ import numpy as np
 from scipy.ndimage import convolve, distance_transform_edt
 
 from ..denoise import Denoiser, mean_factor
-from ..view.texels import HIDDEN, LIT
+from ..view.texels import EMPTY, HIDDEN, LIT
 
-STRAY = 6  # hidden neighbours, of 8, of a texel that is hidden itself, whatever its own few rays found
+# Hidden neighbours, of those that show a surface, of a texel that is hidden itself, whatever its own few rays found; and so many at least.
+STRAY, LEAST = 0.75, 3
 _DEPTHS = (1.0, 0.5, 0.25)  # how far inside its chart a texel's mirror image lies, of its distance outside
 
 
@@ -32,8 +33,9 @@ def without_strays(state: np.ndarray) -> np.ndarray:
     hidden = state == HIDDEN
     if not hidden.any():
         return state
-    around = convolve(hidden.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant")
-    return np.where((state == LIT) & (around >= STRAY), np.uint8(HIDDEN), state)
+    around, shown = (convolve(which.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant") for which in (hidden, state != EMPTY))
+    alone = (around >= LEAST) & (around >= STRAY * (shown - 1))
+    return np.where((state == LIT) & alone, np.uint8(HIDDEN), state)
 
 
 def surroundings(state: np.ndarray) -> Surroundings:

@@ -159,6 +159,17 @@ def test_hidden_texels_are_filled_however_far_and_strays_are_hidden():
     assert filled.all() and (out == 3).all()
 
 
+def test_strays_at_the_edge_of_a_chart_are_hidden_and_small_charts_are_not():
+    state = np.zeros((20, 20), np.uint8)
+    state[5:15, 5:15] = HIDDEN
+    state[5, 9] = state[5, 5] = LIT  # amid the upper edge, and in its corner
+    state[5:15, 12:15] = LIT
+    state[17, 3:5] = HIDDEN, LIT  # a chart of two texels
+    cleaned = filling.without_strays(state)
+    assert cleaned[5, 9] == cleaned[5, 5] == HIDDEN
+    assert (cleaned[5:15, 12:15] == LIT).all() and cleaned[17, 4] == LIT
+
+
 def test_denoising_leaves_no_dark_edges():
     rng = np.random.default_rng(3)
     state = np.zeros((64, 64), np.uint8)
