@@ -36,6 +36,7 @@ from .sources import extract, find_scene, open_source
 SCENES = (
     ("Cornell box", "cornell", None),
     ("living room", "living-room-greywhite", ("Mesh019", "Mesh042", "Mesh057", "Mesh059")),
+    ("two amphoras of the gallery", "gallery", ("Amphora", "Amphora.001")),  # round and smooth, with seams
 )
 SIZE = 256
 SAMPLES, REFERENCE_SAMPLES = 64, 4096
