@@ -96,7 +96,10 @@ def test_a_veil_dims_what_lies_behind_and_keeps_its_own_share():
     assert through.emission.mean() == pytest.approx(0.6 * free.emission.mean(), rel=0.02)
     assert through.albedo.mean() == pytest.approx(0.5, rel=0.002)
     s = replace(s, lamps=spheres(before))
-    np.testing.assert_array_equal(seen(s, 64).emission, seen(replace(s, geometry=geometry(*quads(wall(-9)))), 64).emission)
+    # Which pixels get more samples is told by the veil, too, whose own are shown at random.
+    unveiled = seen(replace(s, geometry=geometry(*quads(wall(-9)))), 64)
+    assert seen(s, 64).emission.mean() == pytest.approx(unveiled.emission.mean(), rel=0.002)
+    np.testing.assert_allclose(seen(s, 64).emission, unveiled.emission, atol=0.07)
 
 
 @pytest.mark.parametrize("orthographic", [False, True])

@@ -1,0 +1,425 @@
+"""The samples of a 4x4 pixel tile: traced 16 rays at a time, evaluated, and sorted by the surfaces that they show.
+
+A tile's samples come in two turns.  The first ones tell which pixels hold edges, holes, textures or lamps; their neighbours get more.  Were a
+pixel's own samples asked, those that by chance miss a thin thing would never be joined by others, and thin things would fade.
+
+Surfaces with transparency are passed through at random, with exact weights, as Cycles does.  At the first surfaces of
+glass nothing is left to chance: a sample shows both what they reflect and what lies behind.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..jit import inlined, kernel, leaf
+from ..lamps.tables import SEEN_BY_CAMERA, SEEN_THROUGH_GLASS
+from ..lamps.world import world_radiance
+from ..rays.offsets import hit_point
+from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, set_ray
+from ..rays.trace import ALL, COHERENT, intersect_packet
+from ..sampling.hashing import uniform
+from ..scene import CAMERA, NORMAL_MAPPED, TRANSMISSION, TRANSPARENT
+from ..surfaces.arithmetic import normalized
+from ..surfaces.layout import EMISSION, GLOSSY_F0, GLOSSY_F90, NORMAL, REFRACTION, ROUGHNESS, TRANSPARENCY, diffuse_albedo, largest_kept
+from ..surfaces.normals import shading_normal
+from ..surfaces.program import evaluate, reflected_view
+from .camera import camera_ray, pixel_sample
+from .lamps import lamps_between
+
+TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample index
+PANES = 2  # surfaces of glass that a sample shows as well as what lies behind them
+MAX_LAYERS = 64  # transparent surfaces that one primary ray passes at most
+WORLD_DEPTH = np.float32(1e10)  # what Blender's depth pass has where nothing is hit
+
+# Two samples of a pixel lie on one surface where their normals agree and neither leaves the other's plane
+# by more than this part of the pixel's width there.
+SAME_NORMAL = np.float32(0.9)
+SAME_PLANE = np.float32(0.5)
+SAME_REACH = np.float32(3.0)
+# Squared deviation, by the squared mean, of what the samples of a pixel reflect and emit, above which their neighbours get more of them.
+VARIED = np.float32(0.2)
+# Columns of the pixels' layers; what is emitted by each light group, behind no glass, one surface of it, and more, comes last.
+ALBEDO, NORMALS, MEAN_NORMALS, POSITION, DEPTH, CLEAR, EMITTED = 0, 3, 6, 9, 12, 13, 14
+GLASS = 3  # kinds of what is emitted: behind no glass, one surface of it, and more
+# Bits of the way that a sample takes at a surface: it shows it, passes straight through, passes through glass.
+SHOWN, STRAIGHT, REFRACTED = 1, 2, 4
+# Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
+PLACE, ERROR, FACING, SHADED = 0, 3, 4, 7
+MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS = 0, 1, 4, 7, 10
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+_THIRD = np.float32(1 / 3)
+
+
+class Tile(NamedTuple):
+    """What the 16 pixels of a tile show: a row for each sample, and one for each pane of glass that samples look through.
+
+    Rows 0..S-1 are the samples', rows S..count-1 the panes', of at most R = (1 + PANES) S.
+
+    taken, count: (16,) int32, samples traced, and one more than the last row.
+    hits: (16, R, 3) float32, bits of the triangle (-1 for none), u and v.  weight, direction: (16, R, 3) float32.
+    depth: (16, R) float32 (m).  glass: (16, R) int32, surfaces of glass before it.
+    lamps: (16, GLASS, G, 3) float32, light of the lamps in view, summed over the samples, by the surfaces of glass before it.
+    out: (16, C) float32, sums of the pixels' layers.  nearest: (16,) int32, the row nearest to the camera, -1 for none.
+    sample: (16, R, 10) float32, position, its error, geometric and shading normal of each row.  group_of: (16, R) int32, which of the
+    pixel's surfaces it shows, -1 for none.  groups: (16,) int32, how many there are.  first: (16, R) int32, the first row of each.
+    group: (16, R, 11) float32, rows of each, sums of albedo, f0, f90 and roughness.
+    sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
+    origin: (16, 3), passed: (16,) float32, of the rays of a packet.
+    """
+
+    taken: np.ndarray
+    count: np.ndarray
+    hits: np.ndarray
+    weight: np.ndarray
+    direction: np.ndarray
+    depth: np.ndarray
+    glass: np.ndarray
+    lamps: np.ndarray
+    out: np.ndarray
+    nearest: np.ndarray
+    sample: np.ndarray
+    group_of: np.ndarray
+    groups: np.ndarray
+    first: np.ndarray
+    group: np.ndarray
+    sums: np.ndarray
+    mixed: np.ndarray
+    origin: np.ndarray
+    passed: np.ndarray
+
+
+@kernel
+def new_tile(samples, light_groups):
+    """Room for a tile of up to `samples` samples a pixel."""
+    f, i, rows = np.float32, np.int32, (1 + PANES) * samples
+    return Tile(
+        np.zeros(WIDTH, i), np.zeros(WIDTH, i), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f),
+        np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), i), np.empty((WIDTH, GLASS, light_groups, 3), f),
+        np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, 10), f),
+        np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, 11), f),
+        np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f),
+    )  # fmt: skip
+
+
+@leaf
+def clear_tile(tile, most):
+    """Empty, before the first of its up to `most` samples a pixel."""
+    tile.lamps[:] = _0
+    tile.out[:] = _0
+    tile.sums[:] = _0
+    for lane in range(WIDTH):
+        tile.taken[lane] = tile.groups[lane] = 0
+        tile.count[lane] = most
+        tile.nearest[lane] = -1
+        tile.mixed[lane] = 0
+
+
+@kernel
+def _same_surface(px, py, pz, nx, ny, nz, qx, qy, qz, mx, my, mz, width):
+    """Whether two samples (positions p, q; normals n, m) may share their light, `width` m being the pixel's there."""
+    if nx * mx + ny * my + nz * mz < SAME_NORMAL:
+        return False
+    dx, dy, dz = px - qx, py - qy, pz - qz
+    if abs(dx * nx + dy * ny + dz * nz) > SAME_PLANE * width or abs(dx * mx + dy * my + dz * mz) > SAME_PLANE * width:
+        return False
+    reach = SAME_REACH * width
+    return dx * dx + dy * dy + dz * dz < reach * reach
+
+
+@inlined
+def _view_cosine(vertices, triangles, corner_normals, triangle, u, v, dx, dy, dz, glass):
+    """Cosine for `program.evaluate` of a view along d that has passed `glass` surfaces of glass."""
+    a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+    ex, ey, ez = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+    fx, fy, fz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    gx, gy, gz = normalized(ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx)
+    sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
+    cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
+    cosine = -cosine if gx * dx + gy * dy + gz * dz > 0 else cosine
+    return reflected_view(cosine) if glass > 0 else cosine
+
+
+@leaf
+def _way_on(surface, x, split):
+    """What a sample shows of a surface with transparency: (way, r, g, b, w).
+
+    x: uniform in [0, 1), picks a way in proportion to what there is to see.  split: glass shows both itself and what
+    lies behind, as several samples would.  (r, g, b) weighs what lies behind, w the surface itself.
+    """
+    rr, rg, rb = surface[REFRACTION], surface[REFRACTION + 1], surface[REFRACTION + 2]
+    tr, tg, tb = surface[TRANSPARENCY] - rr, surface[TRANSPARENCY + 1] - rg, surface[TRANSPARENCY + 2] - rb
+    straight, refracted, kept = max(tr, tg, tb), max(rr, rg, rb), largest_kept(surface)
+    total = straight + refracted + kept
+    x *= total
+    if x < straight:
+        w = total / straight
+        return STRAIGHT, w * tr, w * tg, w * tb, _0
+    if split and refracted > _0:
+        w = total / (refracted + kept)
+        return SHOWN | REFRACTED, w * rr, w * rg, w * rb, w
+    if x < straight + refracted:
+        w = total / refracted
+        return REFRACTED, w * rr, w * rg, w * rb, _0
+    return SHOWN, _0, _0, _0, total / kept if kept > _0 else _1
+
+
+@inlined
+def _filtered(film, u):
+    """Where in the pixel a sample lies, by a uniform u in [0, 1) and the offsets of `Film`."""
+    x = u * np.float32(len(film) - 1)
+    at = min(np.int64(x), len(film) - 2)
+    return np.float32(0.5) + film[at] + (x - np.float32(at)) * (film[at + 1] - film[at])
+
+
+@leaf
+def trace_samples(
+    rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, begin, ends, seed, packet, rows, surface, tile
+):
+    """Trace the samples begin..ends[lane]-1 of each pixel of the tile whose first pixel is (tx, ty); the number of rays.
+
+    Pixels with the same number of samples to come fill packets of one sample each; otherwise packets are filled with what comes next.
+    lanes: (16, 2) int32, scratch.
+    """
+    count = 0
+    n = 0
+    most = 0
+    for pixel in range(WIDTH):
+        most = max(most, ends[pixel])
+    for s in range(begin, most):
+        for pixel in range(WIDTH):
+            if s >= ends[pixel]:
+                continue
+            lanes[n, 0], lanes[n, 1] = pixel, s
+            n += 1
+            if n == WIDTH:
+                count += _trace_lanes(
+                    rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile
+                )
+                n = 0
+    if n > 0:
+        count += _trace_lanes(
+            rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile
+        )
+    for pixel in range(WIDTH):
+        tile.taken[pixel] = max(tile.taken[pixel], ends[pixel])
+    return count
+
+
+@leaf
+def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile):
+    """Trace a packet of `n` samples, each the pixel and number of its row of `lanes`; the number of rays."""
+    vertices, triangle_vertices, corner_normals, attributes, material, _, _ = geometry
+    weight, direction, depth, glass = tile.weight, tile.direction, tile.depth, tile.glass
+    origin, passed = tile.origin, tile.passed
+    triangles = tile.hits.view(np.int32)
+    count = n
+    for lane in range(n):
+        pixel, s = lanes[lane, 0], lanes[lane, 1]
+        px, py = tx + pixel % TILE, ty + pixel // TILE
+        triangles[pixel, s, 0] = -1
+        # Numbered by the full frame: a border shows the very pixels of the whole picture.
+        jx, jy = pixel_sample(s, seed, py * camera.size[0] + px)
+        if len(film) > 0:
+            jx, jy = _filtered(film, jx), _filtered(film, jy)
+        ox, oy, oz, dx, dy, dz, slant = camera_ray(camera, np.float32(px) + jx, np.float32(py) + jy)
+        set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, (camera.clip[1] - camera.clip[0]) * slant, CAMERA)
+        origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
+        direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2] = dx, dy, dz
+        weight[pixel, s, 0] = weight[pixel, s, 1] = weight[pixel, s, 2] = _1
+        depth[pixel, s] = WORLD_DEPTH
+        glass[pixel, s] = 0
+        passed[lane] = _0
+    layer = 0
+    active = True
+    while active and layer < MAX_LAYERS:
+        intersect_packet(rays, ALL | COHERENT, packet, n)
+        active = False
+        for lane in range(n):
+            triangle = hit_triangle(packet, lane)
+            if packet.f[T_FAR * WIDTH + lane] < 0:  # done already
+                continue
+            pixel, s = lanes[lane, 0], lanes[lane, 1]
+            if n_lamps > 0:
+                end = hit_t(packet, lane) if triangle >= 0 else np.float32(np.inf)
+                lamps_between(
+                    lamps, near_lamps, n_lamps, SEEN_THROUGH_GLASS if glass[pixel, s] > 0 else SEEN_BY_CAMERA,
+                    origin[lane, 0], origin[lane, 1], origin[lane, 2],
+                    direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2], passed[lane], end,
+                    weight[pixel, s], tile.lamps[pixel, min(glass[pixel, s], 2)],
+                )  # fmt: skip
+            if triangle < 0:
+                disable_ray(packet, lane)
+                continue
+            u, v, t = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
+            dx, dy, dz = direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2]
+            axial = -(dx * camera.matrix[0, 2] + dy * camera.matrix[1, 2] + dz * camera.matrix[2, 2])
+            way, r, g, b, w = SHOWN, _0, _0, _0, _1
+            if materials.flags[material[triangle]] & TRANSPARENT:
+                cosine = _view_cosine(vertices, triangle_vertices, corner_normals, triangle, u, v, dx, dy, dz, glass[pixel, s])
+                evaluate(materials, material[triangle], attributes, triangle, u, v, cosine, rows, surface)
+                number = (ty + pixel // TILE) * camera.size[0] + tx + pixel % TILE
+                way, r, g, b, w = _way_on(surface, uniform(seed, number, s, 2 + layer), glass[pixel, s] < PANES)
+            if way & SHOWN:
+                row = s
+                if way != SHOWN:  # the sample goes on beyond a pane, which gets a row of its own
+                    row = tile.count[pixel]
+                    tile.count[pixel] += 1
+                    glass[pixel, row] = glass[pixel, s]
+                    direction[pixel, row, 0], direction[pixel, row, 1], direction[pixel, row, 2] = dx, dy, dz
+                for c in range(3):
+                    weight[pixel, row, c] = w * weight[pixel, s, c]
+                triangles[pixel, row, 0] = triangle
+                tile.hits[pixel, row, 1], tile.hits[pixel, row, 2] = u, v
+                depth[pixel, row] = camera.clip[0] + t * axial
+            if way == SHOWN:
+                disable_ray(packet, lane)
+                continue
+            weight[pixel, s, 0] *= r
+            weight[pixel, s, 1] *= g
+            weight[pixel, s, 2] *= b
+            if way & REFRACTED:
+                glass[pixel, s] += 1
+            # Past the hit by a few rounding errors of t, so that the surface is not met again.
+            start = t + np.float32(4e-6) * (t + camera.clip[0])
+            far = (camera.clip[1] - camera.clip[0]) / axial
+            kinds = TRANSMISSION if glass[pixel, s] > 0 else CAMERA
+            set_ray(packet, lane, origin[lane, 0], origin[lane, 1], origin[lane, 2], dx, dy, dz, start, far, kinds)
+            passed[lane] = t
+            count += 1
+            active = True
+        layer += 1
+    return count
+
+
+@leaf
+def add_rows(camera, materials, geometry, world, world_visibility, world_group, pixel_width, pixel, begin, end, most, rows, surface, tile):
+    """Evaluate the rows begin..end-1 of a pixel: add them to its layers, each with the weight of one, and to the surface that they show.
+
+    pixel_width: of a pixel at a depth of 1 m (of an orthographic camera at any depth).  most: rows from there on are panes.
+    """
+    vertices, triangle_vertices, corner_normals, attributes, material, object_of, light_group = geometry
+    weight, direction, depth, glass = tile.weight, tile.direction, tile.depth, tile.glass
+    triangles = tile.hits.view(np.int32)
+    out, sample, group_of, first, group = tile.out[pixel], tile.sample[pixel], tile.group_of[pixel], tile.first[pixel], tile.group[pixel]
+    groups, nearest = tile.groups[pixel], tile.nearest[pixel]
+    for s in range(begin, end):
+        triangle = triangles[pixel, s, 0]
+        dx, dy, dz = direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2]
+        wr, wg, wb = weight[pixel, s, 0], weight[pixel, s, 1], weight[pixel, s, 2]
+        behind_glass = glass[pixel, s] > 0
+        before = EMITTED + 3 * min(glass[pixel, s], 2)
+        group_of[s] = -1
+        seen = _0
+        if triangle < 0:
+            emitted = before + 3 * GLASS * world_group
+            if not behind_glass:
+                out[CLEAR] += (wr + wg + wb) * _THIRD
+            if world_visibility & (TRANSMISSION if behind_glass else CAMERA):
+                er, eg, eb = world_radiance(world, dx, dy, dz)
+                out[emitted] += wr * er
+                out[emitted + 1] += wg * eg
+                out[emitted + 2] += wb * eb
+                seen = wr * er + wg * eg + wb * eb
+        else:
+            u, v = tile.hits[pixel, s, 1], tile.hits[pixel, s, 2]
+            x, y, z, gx, gy, gz, error = hit_point(vertices, triangle_vertices, triangle, u, v)
+            sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
+            behind = gx * dx + gy * dy + gz * dz > 0
+            cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
+            signed = -cosine if behind else cosine
+            view_cosine = reflected_view(signed) if behind_glass else signed
+            evaluate(materials, material[triangle], attributes, triangle, u, v, view_cosine, rows, surface)
+            if materials.flags[material[triangle]] & NORMAL_MAPPED:
+                sx, sy, sz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
+                cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
+            if behind:
+                gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+            ar, ag, ab = diffuse_albedo(surface, cosine)
+            ar, ag, ab = ar * wr, ag * wg, ab * wb
+            if not behind_glass:
+                out[ALBEDO] += ar
+                out[ALBEDO + 1] += ag
+                out[ALBEDO + 2] += ab
+                part = (wr + wg + wb) * _THIRD
+                out[MEAN_NORMALS] += part * sx
+                out[MEAN_NORMALS + 1] += part * sy
+                out[MEAN_NORMALS + 2] += part * sz
+            emitted = before + 3 * GLASS * light_group[object_of[triangle]]
+            er, eg, eb = wr * surface[EMISSION], wg * surface[EMISSION + 1], wb * surface[EMISSION + 2]
+            out[emitted] += er
+            out[emitted + 1] += eg
+            out[emitted + 2] += eb
+            sample[s, PLACE], sample[s, PLACE + 1], sample[s, PLACE + 2], sample[s, ERROR] = x, y, z, error
+            sample[s, FACING], sample[s, FACING + 1], sample[s, FACING + 2] = gx, gy, gz
+            sample[s, SHADED], sample[s, SHADED + 1], sample[s, SHADED + 2] = sx, sy, sz
+            if nearest < 0 or depth[pixel, s] < depth[pixel, nearest]:
+                nearest = s
+            footprint = pixel_width if camera.orthographic else pixel_width * depth[pixel, s]
+            k = 0
+            while k < groups:
+                f = first[k]
+                alike = object_of[triangles[pixel, f, 0]] == object_of[triangle] and (glass[pixel, f] > 0) == behind_glass
+                if alike and _same_surface(
+                    x, y, z, sx, sy, sz, sample[f, PLACE], sample[f, PLACE + 1], sample[f, PLACE + 2],
+                    sample[f, SHADED], sample[f, SHADED + 1], sample[f, SHADED + 2], footprint,
+                ):  # fmt: skip
+                    break
+                k += 1
+            if k == groups:
+                groups += 1
+                first[k] = s
+                group[k, :] = _0
+            group_of[s] = k
+            group[k, MEMBERS] += _1
+            group[k, G_ALBEDO] += ar
+            group[k, G_ALBEDO + 1] += ag
+            group[k, G_ALBEDO + 2] += ab
+            fr, fg, fb = surface[GLOSSY_F90] * wr, surface[GLOSSY_F90 + 1] * wg, surface[GLOSSY_F90 + 2] * wb
+            group[k, G_F0] += surface[GLOSSY_F0] * wr
+            group[k, G_F0 + 1] += surface[GLOSSY_F0 + 1] * wg
+            group[k, G_F0 + 2] += surface[GLOSSY_F0 + 2] * wb
+            group[k, G_F90] += fr
+            group[k, G_F90 + 1] += fg
+            group[k, G_F90 + 2] += fb
+            group[k, G_ROUGHNESS] += surface[ROUGHNESS]
+            seen = ar + ag + ab + er + eg + eb + surface[GLOSSY_F0] * wr + surface[GLOSSY_F0 + 1] * wg + surface[GLOSSY_F0 + 2] * wb
+        if s < most:
+            tile.sums[pixel, 0] += seen
+            tile.sums[pixel, 1] += seen * seen
+            if group_of[s] != group_of[0]:
+                tile.mixed[pixel] = 1
+    tile.groups[pixel], tile.nearest[pixel] = groups, nearest
+
+
+@leaf
+def _varies(tile, pixel):
+    """Whether the samples of a pixel show several surfaces, a lamp's edge or a pattern."""
+    n = np.float32(tile.taken[pixel])
+    if n == _0:
+        return False
+    if tile.mixed[pixel]:
+        return True
+    for light in tile.lamps[pixel].flat:
+        if light > _0:
+            return True
+    mean = tile.sums[pixel, 0] / n
+    return tile.sums[pixel, 1] / n - mean * mean > VARIED * mean * mean
+
+
+@leaf
+def pick_varied(tile, most, ends):
+    """Sets ends (16,) int32 of the pixels that have samples to `most` where a pixel beside them varies, else to what they have."""
+    for pixel in range(WIDTH):
+        ends[pixel] = tile.taken[pixel]
+    for pixel in range(WIDTH):
+        if not _varies(tile, pixel):
+            continue
+        x, y = pixel % TILE, pixel // TILE
+        for qy in range(max(y - 1, 0), min(y + 2, TILE)):
+            for qx in range(max(x - 1, 0), min(x + 2, TILE)):
+                other = qy * TILE + qx
+                if other != pixel and tile.taken[other] > 0:
+                    ends[other] = most
