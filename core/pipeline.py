@@ -14,7 +14,8 @@ from .denoise import Denoiser
 from .lamps import DirectLight, LightGroups, world_tables
 from .layers import Layers
 from .memory import check_memory
-from .methods.glossy import Reflections
+from .methods.glossy import Reflections, has_lobes
+from .methods.wide_lobes import sees_alike
 from .passes import Passes, denoising_quality
 from .picture import Picture, nearest_triangles, splat
 from .planning.machine import cached_machine
@@ -330,11 +331,10 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
     if wants("Direct", "Combined") or behind_glass or ((wants_indirect or wants_glossy) and refractive(tables)):
         with run.stage("direct") as tick:
             light = direct_stage(run, scene, tables, points, settings, threads, tick)
-    if wants_glossy:
-        mirrored = glossy_stage(run, tables, points, settings, threads, sampler)
     indirect, foreseen = nothing, None
     if wants_indirect:
-        indirect, vpls = indirect_stage(run, tables, points, seen.shape[1], settings, threads, sampler)
+        glossy = wants_glossy and has_lobes(points) and sees_alike(scene.geometry.object_visibility)
+        indirect, vpls = indirect_stage(run, tables, points, seen.shape[1], settings, threads, sampler, glossy=glossy)
         run.vpls += len(vpls.bounce)
         if sampler and settings.method == "importance-sampling" and settings.denoise:
             with run.stage("indirect"):
@@ -343,6 +343,8 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
             run.debug = single_lights(tables, vpls, points, seen.shape, threads)
             if run.clusters is not None:
                 run.debug |= run.clusters.debug_layers(points, seen.shape)
+    if wants_glossy:
+        mirrored = glossy_stage(run, tables, points, settings, threads, sampler)
     LOADED.add(settings.method)
     picture = Picture.compose(
         seen, light.irradiance, indirect + light.irradiance_by_glass, light.glossy + mirrored.direct,

@@ -254,7 +254,7 @@ def cache_stage(
 def glossy_stage(
     run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
 ) -> Reflections:
-    """What rays drawn from the points' lobes find."""
+    """What rays drawn from the points' lobes find, and those of diffuse light before them, where these serve wide lobes, too."""
     nothing = tables.emitters.no_light(len(points.pixel))
     if not has_lobes(points) or settings.reflections < 1:
         run.skip("glossy", "no visible surface is glossy" if settings.reflections > 0 else "no reflections asked for")
@@ -262,8 +262,10 @@ def glossy_stage(
     with run.stage("glossy") as tick:
         found = reflect(
             tables, points, settings.direct_samples, settings.reflections, settings.bounces, settings.seed + TURN * run.turn, threads, tick,
-            cache=sampler.cache if sampler else None, near=sampler.near if sampler else np.inf,
+            cache=sampler.cache if sampler else None, near=sampler.near if sampler else np.inf, shared=sampler.shared if sampler else None,
         )  # fmt: skip
+        if sampler and sampler.shared:
+            found = found._replace(indirect=found.indirect + sampler.reflected)
         run.rays["reflected"] = run.rays.get("reflected", 0) + found.rays
     return found
 
@@ -276,9 +278,11 @@ def indirect_stage(
     settings: RenderSettings,
     threads: int,
     sampler: ImportanceSampling | None,
+    *,
+    glossy: bool = False,
 ) -> tuple[np.ndarray, Vpls]:
     """Indirect irradiance at the points (N, 3 G), and the VPLs that it came from; width: of the picture in pixels,
-    None where the points are not of one."""
+    None where the points are not of one.  glossy: whether `glossy_stage` follows, and its lobes may share the rays."""
     nothing = tables.emitters.no_light(len(points.pixel))
     if settings.bounces < 1 or settings.vpls < 1:
         run.skip("vpls", "no bounces or no VPLs asked for")
@@ -314,8 +318,9 @@ def indirect_stage(
     with run.stage("indirect") as tick:
         if accurate:
             irradiance = sampler.irradiance(
-                points, tick, first=run.turn * max(settings.samples, settings.gather), by_share=width is not None and settings.skipping
-            )
+                points, tick, first=run.turn * max(settings.samples, settings.gather), by_share=width is not None and settings.skipping,
+                reflections=settings.reflections if glossy else 0,
+            )  # fmt: skip
             run.rays["shadow"] += sampler.rays
             run.pairs += sampler.pairs
             return irradiance, vpls

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import kernel, leaf
 from ..lamps.direct import aimed_density, direct_light, expected_samples, passed, set_point_lobe
 from ..lamps.lookup import lamp_along, share_of
 from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, WORLD
@@ -41,6 +41,7 @@ from ..transport import Transport
 from ..view.points import ShadingPoints
 from .light_cache import LightCache, add_known, find_cell, no_cache
 from .tails import tail_light
+from .wide_lobes import SharedRays, balance, bound, gather_density, is_wide, known_light, no_sharing
 
 CHUNK = 512  # points a chunk
 BLOCK = 65536  # points whose reflections are followed together: bounds the memory
@@ -98,9 +99,16 @@ def _lamps_along(
         shown[i, c + 2] += wb * w * tb * emitters.radiance[e, 2]
 
 
+@leaf
+def _shared_light(cache, cell, c, carried, whole):
+    """`known_light` of a cell, or (whole = 0) only what is taken off it."""
+    return known_light(cache, cell, c, carried) if whole > _0 else -carried * cache.lit[cell, c]
+
+
 @kernel
 def _reflect_chunk(
-    scene, cache, near, row, points, owner, begin, end, samples, most, roulette, seed, first, clear, shown, known, guide, hits, mirror, sure
+    scene, cache, near, row, points, owner, begin, end, samples, most, roulette, seed, first, clear, shared, shown, known, guide, hits, mirror,
+    sure,
 ):  # fmt: skip
     """Draw up to `most` rays from the lobe of each point begin..end-1: emission that they meet is added to `shown` (N, 3 G).
 
@@ -109,6 +117,7 @@ def _reflect_chunk(
     wider than the cells of the cache, and the surface farther than `near`, what it sends by row `row` is added to `known` (N, 3 G).
     clear: (N,) uint8, whether only mirrors lie between the point and the eye; then what its rays meet adds its diffuse albedo to
     `guide` (N, 3), as it is on average, and sure (H,) says whether that meets a mirror itself.
+    shared: `SharedRays` of the points, with which wide lobes share what the cache knows.
     Returns the number of hits and of rays.
     """
     emitters = scene.emitters
@@ -131,6 +140,7 @@ def _reflect_chunk(
         sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
         expected_samples(emitters, x, y, z, sx, sy, sz, samples, estimate, count, expected)
         key = hash_combine(seed, i)
+        wide = (shared.gather[i] > 0 or shared.lights) and is_wide(lobe)
         for s in range(n):
             index = first * n + s
             dx, dy, dz, wr, wg, wb, density = sample_lobe(lobe, sobol(index, 0, key), sobol(index, 1, key))
@@ -138,6 +148,7 @@ def _reflect_chunk(
                 continue
             drawn = np.float32(n) * density
             wr, wg, wb = wr / np.float32(n), wg / np.float32(n), wb / np.float32(n)
+            vr, vg, vb = wr, wg, wb  # before what lies on the way
             rays += 1
             _lamps_along(
                 scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, wr, wg, wb, shown, i
@@ -196,11 +207,28 @@ def _reflect_chunk(
             if narrow:
                 fr, fg, fb = glossy_albedo(surface, cosine)
                 chance = (fr + fg + fb) / max(fr + fg + fb + ar + ag + ab, np.float32(1e-6))
-            if chance < _SHINY and t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
+            if (chance < _SHINY or wide) and t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
                 cell = find_cell(
                     cache, px, py, pz, hx, hy, hz, surface_side(material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
                 )
-                if cell >= 0:
+                if cell >= 0 and wide:
+                    across = max(_0, sx * dx + sy * dy + sz * dz)
+                    part = balance(drawn, gather_density(shared.gather[i], across))
+                    carried = _0
+                    if shared.lights:
+                        clamped = min(_1, shared.g_max * t * t / max(across * abs(hx * dx + hy * dy + hz * dz), np.float32(1e-20)))
+                        each = density * np.float32(n)
+                        carried = clamped * bound(lobe, across, each * vr, each * vg, each * vb)
+                    wr, wg, wb = part * wr, part * wg, part * wb
+                    # A mirror is followed on: only what others carry of it is taken off.
+                    whole = _1 if chance < _SHINY else _0
+                    for c in range(0, known.shape[1], 3):
+                        known[i, c] += wr * _INV_PI * _shared_light(cache, cell, c, carried, whole)
+                        known[i, c + 1] += wg * _INV_PI * _shared_light(cache, cell, c + 1, carried, whole)
+                        known[i, c + 2] += wb * _INV_PI * _shared_light(cache, cell, c + 2, carried, whole)
+                    if chance < _SHINY:
+                        continue
+                elif cell >= 0:
                     add_known(cache, row, cell, wr * _INV_PI, wg * _INV_PI, wb * _INV_PI, known, i)
                     continue
             if roulette:
@@ -241,7 +269,7 @@ def _reflect_chunk(
 
 def _draw(
     scene: Transport, cache: LightCache, near: float, row: int, points: ShadingPoints, owner: np.ndarray, samples: int, most: int,
-    roulette: bool, seed: int, threads: int, first: int, clear: np.ndarray,
+    roulette: bool, seed: int, threads: int, first: int, clear: np.ndarray, shared: SharedRays,
 ):  # fmt: skip
     """Rays from all points -> (emission met (N, 3 G), light of the cache (N, 3 G), guide (N, 3), diffuse hits, mirrors hit, whether
     each of these is sure to be one, number of rays)."""
@@ -253,7 +281,7 @@ def _draw(
         mirror, sure = (np.empty((end - begin) * most, np.uint8) for _ in range(2))
         n, rays = _reflect_chunk(
             scene, cache, np.float32(near), row, points, owner, begin, end, samples, most, roulette, np.uint32(seed), np.int64(first), clear,
-            shown, known, guide, room, mirror, sure,
+            shared, shown, known, guide, room, mirror, sure,
         )  # fmt: skip
         mirror = mirror[:n].astype(bool)
         room = room.take(slice(0, n))
@@ -291,6 +319,7 @@ class Reflections(NamedTuple):
 def reflect(
     scene: Transport, points: ShadingPoints, samples: int, reflections: int, bounces: int, seed: int,
     threads: int = 0, progress: Progress | None = None, *, first: int = 0, cache: LightCache | None = None, near: float = np.inf,
+    shared: SharedRays | None = None,
 ) -> Reflections:  # fmt: skip
     """What the glossy lobes of shading points show, by rays drawn from the lobes.
 
@@ -299,6 +328,7 @@ def reflect(
             A point gets up to `reflections` rays, fewer where its lobe is faint beside its diffuse albedo.
         bounces: diffuse bounces of the indirect light (a glossy one counts as none).
         cache, near: what surfaces farther than `near` (m) are known to send, with a row for `bounces` + 1 surfaces.
+        shared: what other rays have found for wide lobes, None for nothing.
 
     Raises:
         Cancelled: `progress` returned False.
@@ -307,6 +337,7 @@ def reflect(
     direct, indirect, albedo = scene.emitters.no_light(n), scene.emitters.no_light(n), np.zeros((n, 3), np.float32)
     sharp = points.roughness < _SHARP
     cache = no_cache() if cache is None else cache
+    shared = no_sharing(n) if shared is None else shared
     total = 0
     for begin in range(0, n, BLOCK):
         block = slice(begin, min(begin + BLOCK, n))
@@ -314,8 +345,9 @@ def reflect(
         key = (seed ^ _SEED) + begin & 0xFFFFFFFF
         owner = np.arange(len(part.pixel), dtype=np.int32)
         shown, known, guide, diffuse, mirrors, sure, rays = _draw(
-            scene, cache, near, bounces, part, owner, samples, reflections, False, key, threads, first, sharp[block].view(np.uint8)
-        )
+            scene, cache, near, bounces, part, owner, samples, reflections, False, key, threads, first, sharp[block].view(np.uint8),
+            shared._replace(gather=shared.gather[block]),
+        )  # fmt: skip
         direct[block], indirect[block], albedo[block] = shown, known, guide
         total += rays
         lit = [diffuse]
@@ -325,8 +357,9 @@ def reflect(
             key = key + 1 & 0xFFFFFFFF
             light, rays = direct_light(scene, mirrors, 1, key, threads, reflections=1)
             shown, known, guide, diffuse, further, surely, drawn = _draw(
-                scene, cache, near, bounces, mirrors, mirrors.pixel, 1, 1, depth >= _SURE, key, threads, 0, sure
-            )
+                scene, cache, near, bounces, mirrors, mirrors.pixel, 1, 1, depth >= _SURE, key, threads, 0, sure,
+                no_sharing(len(mirrors.pixel)),
+            )  # fmt: skip
             _add(albedo[block], mirrors.pixel, guide)
             _add(indirect[block], mirrors.pixel, light.glossy + light.glossy_by_glass + shown + known)
             lit.append(diffuse)

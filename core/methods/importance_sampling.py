@@ -19,6 +19,7 @@ import numpy as np
 
 from ..jit import inlined, kernel, leaf
 from ..lamps import focus_share, focused
+from ..lamps.direct import set_point_lobe
 from ..particles import Vpls, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
@@ -45,7 +46,7 @@ from ..sampling.maps import cosine_hemisphere, to_world
 from ..sampling.sequences import r2
 from ..scene import DIFFUSE, TRANSPARENT
 from ..surfaces.layout import SURFACE
-from ..surfaces.lobes import LOBE
+from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
 from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..surfaces.visibility import nearest_surface, transmittance1
@@ -60,6 +61,7 @@ from .light_cache import DEPTH, NEAR, LightCache, Probes, build_light_cache, fin
 from .partition import strengths, trusted
 from .probes import Tracer, trace_probes
 from .tails import path_light
+from .wide_lobes import WIDE_ALPHA, SharedRays, bound, gather_density, is_wide, known_light
 
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
@@ -81,27 +83,33 @@ PATHS_A_POINT = 64  # at most: a view of a few points does not need as many
 RELIABLE = 20.0
 NEVER_STRONG = 0.5  # of a strong light: where none is more, all are trusted
 BATCHES = 4  # of particles: those whose light gather rays carry need not be many
+_WEIGHT, _CARRIED, _REACH = 0, 3, 4  # columns of what a gather ray counts for a wide lobe
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _INV_PI = np.float32(1.0 / np.pi)
 
 
 @kernel
-def _gather(scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, out):
-    """Adds to the points begin..end-1 what their `counts` (N,) cosine-distributed rays find, less what lights carry; the rays traced."""
+def _gather(scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, reflections, lights, out, shown):
+    """Adds to the points begin..end-1 what their `counts` (N,) cosine-distributed rays find, less what lights carry; the rays traced.
+
+    reflections: most rays that wide lobes have of their own, 0 where they take no part.  lights: whether virtual lights do.
+    out: (N, 3 G) W/m^2.  shown: (N, 3 G) W/m^2/sr, what wide lobes reflect.
+    """
     owner, turn = np.empty(WIDTH, np.int64), np.empty(WIDTH, np.int64)
     direction, hit = np.empty((WIDTH, 3), np.float32), np.empty((WIDTH, 3), np.float32)
     return _gather_leaf(
-        scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, out, new_packet(), new_packet(),
-        np.zeros(SURFACE, np.float32), np.zeros(LOBE, np.float32), new_registers(scene.materials), owner, turn, direction,
-        np.empty(WIDTH, np.int32), hit,
+        scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, reflections, lights, out, shown,
+        new_packet(), new_packet(), np.zeros(SURFACE, np.float32), np.zeros(LOBE, np.float32), new_registers(scene.materials),
+        owner, turn, direction, np.empty(WIDTH, np.int32), hit, np.zeros((WIDTH, LOBE), np.float32), np.zeros(WIDTH, np.int64),
+        np.empty((WIDTH, 5), np.float32),
     )  # fmt: skip
 
 
 @leaf
 def _gather_leaf(
-    scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, out, packet, single, surface, lobe, rows,
-    owner, turn, direction, found, hit,
+    scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, reflections, lights, out, shown,
+    packet, single, surface, lobe, rows, owner, turn, direction, found, hit, lobes, drawn, seen,
 ):  # fmt: skip
     """`_gather`, its scratch given: it counts no references."""
     n = np.int64(0)
@@ -111,6 +119,11 @@ def _gather_leaf(
         most = 0
         for k in range(base, top):
             most = max(most, counts[k])
+            if reflections > 0:
+                set_point_lobe(points, k, lobes[k - base])
+                drawn[k - base] = reflection_count(
+                    lobes[k - base], points.albedo[k, 0], points.albedo[k, 1], points.albedo[k, 2], reflections
+                )
         for s in range(most):
             for k in range(base, top):
                 if s >= counts[k]:
@@ -127,28 +140,46 @@ def _gather_leaf(
                 set_ray(packet, n, ox, oy, oz, dx, dy, dz, _0, np.float32(np.inf), DIFFUSE)
                 owner[n], turn[n] = k, first + s
                 direction[n, 0], direction[n, 1], direction[n, 2] = dx, dy, dz
+                seen[n, _REACH] = np.float32(np.inf)
+                if reflections > 0 and is_wide(lobes[k - base]):
+                    _weigh_lobe(lobes[k - base], drawn[k - base], counts[k], lz, dx, dy, dz, lights, cache.size, seen[n])
                 n += 1
                 rays += 1
                 if n == WIDTH:
                     _gathered(
-                        scene, cache, points, counts, n, g_max, near, bounces, seed, out, packet, single, surface, lobe, rows,
-                        owner, turn, direction, found, hit,
+                        scene, cache, points, counts, n, g_max, near, bounces, seed, out, shown, packet, single, surface, lobe, rows,
+                        owner, turn, direction, found, hit, seen,
                     )  # fmt: skip
                     n = np.int64(0)
     if n > 0:
         _gathered(
-            scene, cache, points, counts, n, g_max, near, bounces, seed, out, packet, single, surface, lobe, rows,
-            owner, turn, direction, found, hit,
+            scene, cache, points, counts, n, g_max, near, bounces, seed, out, shown, packet, single, surface, lobe, rows,
+            owner, turn, direction, found, hit, seen,
         )  # fmt: skip
     return rays
 
 
 @leaf
+def _weigh_lobe(lobe, drawn, gather, cosine, dx, dy, dz, lights, cell, seen):
+    """What a gather ray along d counts for a wide lobe, into the row `seen`; cosine: of d with the shading normal, cell: size of the cache's."""
+    r, g, b, density = lobe_value(lobe, dx, dy, dz)
+    if not density > _0:
+        return
+    scale = _INV_PI / (gather_density(gather, cosine) + np.float32(drawn) * density)
+    seen[_WEIGHT], seen[_WEIGHT + 1], seen[_WEIGHT + 2] = scale * r, scale * g, scale * b
+    seen[_CARRIED] = bound(lobe, cosine, r, g, b) if lights else _0
+    seen[_REACH] = cell / lobe[ALPHA]
+
+
+@leaf
 def _gathered(
-    scene, cache, points, counts, lanes, g_max, near, bounces, seed, out, packet, single, surface, lobe, rows,
-    owner, turn, direction, found, hit,
+    scene, cache, points, counts, lanes, g_max, near, bounces, seed, out, shown, packet, single, surface, lobe, rows,
+    owner, turn, direction, found, hit, seen,
 ):  # fmt: skip
-    """Traces the `lanes` gather rays of a packet and adds what they find to their owners."""
+    """Traces the `lanes` gather rays of a packet and adds what they find to their owners.
+
+    seen: (16, 5), what they count for wide lobes: their weight, the part that lights carry, the least distance.
+    """
     intersect_packet(scene.rays, ALL, packet, lanes)
     for lane in range(lanes):
         found[lane] = hit_triangle(packet, lane) if packet.f[T_FAR * WIDTH + lane] >= 0 else -1
@@ -162,6 +193,7 @@ def _gathered(
         path = np.uint32(k * np.int64(977) + turn[lane])
         u, v, t = hit[lane, 0], hit[lane, 1], hit[lane, 2]
         wr = wg = wb = _1 / np.float32(counts[k])
+        tr = tg = tb = _1
         if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
             ox, oy, oz = offset_origin(
                 points.position[k, 0], points.position[k, 1], points.position[k, 2],
@@ -190,6 +222,12 @@ def _gathered(
                     out[k, c] += wr * (cache.sent[cell, c] - clamped * cache.lit[cell, c])
                     out[k, c + 1] += wg * (cache.sent[cell, c + 1] - clamped * cache.lit[cell, c + 1])
                     out[k, c + 2] += wb * (cache.sent[cell, c + 2] - clamped * cache.lit[cell, c + 2])
+                if t > seen[lane, _REACH]:
+                    clamped *= seen[lane, _CARRIED]
+                    for c in range(0, out.shape[1], 3):
+                        shown[k, c] += tr * seen[lane, _WEIGHT] * known_light(cache, cell, c, clamped)
+                        shown[k, c + 1] += tg * seen[lane, _WEIGHT + 1] * known_light(cache, cell, c + 1, clamped)
+                        shown[k, c + 2] += tb * seen[lane, _WEIGHT + 2] * known_light(cache, cell, c + 2, clamped)
                 continue
             share = clamped * cache.share[cell]
             rest = max(_1 - cache.later * share, np.float32(1e-6))
@@ -206,8 +244,11 @@ def _gathered(
 
 
 @leaf
-def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, turn, lanes, out, sights):
-    """Traces the shadow rays of `lanes` pairs of a point and a light and adds what arrives; whether it does goes into `sights`."""
+def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, turn, seen, lanes, out, shown, sights):
+    """Traces the shadow rays of `lanes` pairs of a point and a light and adds what arrives; whether it does goes into `sights`.
+
+    seen: (16, 3), what wide lobes reflect of irradiance from there (1/sr), negative for nothing.
+    """
     for lane in range(lanes):
         k, j = owner[lane], light[lane]
         ox, oy, oz, dx, dy, dz = shadow_segment(
@@ -233,9 +274,34 @@ def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, li
             )  # fmt: skip
         w = value[lane] * np.float32(3.0) / (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2])
         c = 3 * scene.emitters.light_group[vpls.emitter[j]]
-        out[k, c] += w * r * vpls.flux[j, 0]
-        out[k, c + 1] += w * g * vpls.flux[j, 1]
-        out[k, c + 2] += w * b * vpls.flux[j, 2]
+        r, g, b = w * r * vpls.flux[j, 0], w * g * vpls.flux[j, 1], w * b * vpls.flux[j, 2]
+        out[k, c] += r
+        out[k, c + 1] += g
+        out[k, c + 2] += b
+        if seen[lane, 0] >= _0:
+            shown[k, c] += seen[lane, 0] * r
+            shown[k, c + 1] += seen[lane, 1] * g
+            shown[k, c + 2] += seen[lane, 2] * b
+
+
+@leaf
+def _reflect_light(points, vpls, k, j, lobe, near, seen):
+    """What the wide lobe of point k reflects of the irradiance by light j (1/sr), less what is left to other rays, into the row `seen`."""
+    dx, dy, dz = (
+        vpls.position[j, 0] - points.position[k, 0],
+        vpls.position[j, 1] - points.position[k, 1],
+        vpls.position[j, 2] - points.position[k, 2],
+    )
+    distance = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz))
+    if not distance > near:
+        return
+    dx, dy, dz = dx / distance, dy / distance, dz / distance
+    cosine = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
+    if not cosine > _0:
+        return
+    r, g, b, _ = lobe_value(lobe, dx, dy, dz)
+    scale = bound(lobe, cosine, r, g, b) / cosine
+    seen[0], seen[1], seen[2] = scale * r, scale * g, scale * b
 
 
 @inlined
@@ -245,7 +311,9 @@ def looks_of(samples, subsets):
 
 
 @kernel
-def _sample_lights(scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out, sights, parts):
+def _sample_lights(
+    scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, near, cell, seed, reflections, out, shown, sights, parts
+):  # fmt: skip
     """Adds to the points begin..end-1 the light of `counts` (N,) VPLs each, picked by what they give unshadowed; the shadow rays traced.
 
     Each point looks at a few of the subsets of `lights` (S, 8, K), drawn by a hash.  sights, parts: (N, R), what its rays find, and in
@@ -254,16 +322,17 @@ def _sample_lights(scene, points, vpls, lights, counts, begin, end, first, g_max
     size = lights.shape[2]
     owner, light, value = np.empty(WIDTH, np.int64), np.empty(WIDTH, np.int64), np.empty(WIDTH, np.float32)
     return _sample_lights_leaf(
-        scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out, sights, parts, new_packet(), np.zeros(SURFACE, np.float32),
-        new_registers(scene.materials), np.empty(size, np.float32),
-        np.empty(size // BLOCK, np.float32), owner, light, value, np.empty(WIDTH, np.int64),
+        scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, near, cell, seed, reflections, out, shown, sights, parts,
+        new_packet(), np.zeros(SURFACE, np.float32), new_registers(scene.materials), np.empty(size, np.float32),
+        np.empty(size // BLOCK, np.float32), owner, light, value, np.empty(WIDTH, np.int64), np.zeros(LOBE, np.float32),
+        np.empty((WIDTH, 3), np.float32),
     )  # fmt: skip
 
 
 @leaf
 def _sample_lights_leaf(
-    scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, seed, out, sights, parts, packet, surface, rows, f, blocks,
-    owner, light, value, turn,
+    scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, near, cell, seed, reflections, out, shown, sights, parts,
+    packet, surface, rows, f, blocks, owner, light, value, turn, lobe, seen,
 ):  # fmt: skip
     """`_sample_lights`, its scratch given: it counts no references."""
     subsets = len(lights)
@@ -274,6 +343,10 @@ def _sample_lights_leaf(
         looks = looks_of(samples, subsets)
         key = hash_combine(hash_combine(seed, k), first)
         start = uniform(key, 0, 0, 0)
+        wide = False
+        if reflections > 0:
+            set_point_lobe(points, k, lobe)
+            wide = is_wide(lobe)
         done = traced = 0
         for look in range(looks):
             picks = (samples - done) // (looks - look)
@@ -304,14 +377,19 @@ def _sample_lights_leaf(
                     continue
                 owner[n], light[n], value[n], turn[n] = k, chosen + at * subsets, each, traced
                 parts[k, traced] = block
+                seen[n, 0] = -_1
+                if wide:
+                    _reflect_light(points, vpls, k, light[n], lobe, max(near, cell / lobe[ALPHA]), seen[n])
                 traced += 1
                 n += 1
                 rays += 1
                 if n == WIDTH:
-                    _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, turn, n, out, sights)
+                    _trace_lights(
+                        scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, turn, seen, n, out, shown, sights
+                    )
                     n = np.int64(0)
     if n > 0:
-        _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, turn, n, out, sights)
+        _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, turn, seen, n, out, shown, sights)
     return rays
 
 
@@ -359,6 +437,7 @@ class ImportanceSampling:
         self.threads = threads
         self.rays = 0
         self.pairs = 0
+        self.shared: SharedRays | None = None
 
     def cache_light(
         self,
@@ -459,17 +538,27 @@ class ImportanceSampling:
         self.lights = light_table(self.vpls, max(1, round(len(order) / SUBSET)))
         return self.vpls, counts
 
-    def irradiance(self, points: ShadingPoints, progress: Progress | None = None, *, first: int = 0, by_share: bool = False) -> np.ndarray:
+    def irradiance(
+        self, points: ShadingPoints, progress: Progress | None = None, *, first: int = 0, by_share: bool = False, reflections: int = 0
+    ) -> np.ndarray:
         """Indirect irradiance at N points, (N, 3 G) float32, W/m^2: three columns for each of G light groups.
 
-        by_share: points that are a small part of what their pixel shows get fewer rays.
+        What the same rays find for wide lobes (`wide_lobes`) is then in `reflected`, (N, 3 G) float32 W/m^2/sr, and `shared` says what is left
+        to rays from the lobes.
+
+        by_share: points that are a small part of what their pixel shows get fewer rays.  reflections: most rays from the lobes, as `glossy.reflect`
+            has them, 0 where these are not wanted.
         """
         n = len(points.pixel)
         out = self.scene.emitters.no_light(n)
         cutouts = bool((self.scene.materials.flags & TRANSPARENT).any())
-        share = shares(points) if by_share else np.ones(n, np.float32)
+        reflections = reflections if len(self.cache.radiosity) > self.bounces else 0
+        share = shares(points, WIDE_ALPHA**0.5 if reflections else None) if by_share else np.ones(n, np.float32)
         gather, samples = (np.ceil(most * np.minimum(1, WHOLE * share)).astype(np.int32) for most in (self.gather, self.samples))
         gather, samples = (np.maximum(counts, min(1, most)) for counts, most in ((gather, self.gather), (samples, self.samples)))
+        lights = bool(self.lights.size and self.samples)
+        shown = np.zeros_like(out) if reflections else out[:0]
+        self.reflected, self.shared = shown, SharedRays(gather, lights, self.g_max) if reflections else None
 
         gathered = np.zeros(n, np.float32)
         sights, parts = np.zeros((n, self.samples), np.uint8), np.empty((n, self.samples), np.uint8)
@@ -477,13 +566,13 @@ class ImportanceSampling:
         def work(begin, end):
             rays = _gather(
                 self.scene, self.cache, points, gather, begin, end, first, self.g_max, self.near, self.bounces,
-                np.uint32(self.seed + 3), out,
+                np.uint32(self.seed + 3), reflections, lights, out, shown,
             )  # fmt: skip
             gathered[begin:end] = np.einsum("nc->n", out[begin:end]) * np.float32(1 / 3)
-            if self.lights.size and self.samples:
+            if lights:
                 rays += _sample_lights(
-                    self.scene, points, self.vpls, self.lights, samples, begin, end, first, self.g_max, cutouts,
-                    np.uint32(self.seed + 4), out, sights, parts,
+                    self.scene, points, self.vpls, self.lights, samples, begin, end, first, self.g_max, cutouts, self.near, self.cache.size,
+                    np.uint32(self.seed + 4), reflections, out, shown, sights, parts,
                 )  # fmt: skip
             return rays
 

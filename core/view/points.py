@@ -62,9 +62,14 @@ class ShadingPoints(NamedTuple):
         return ShadingPoints(*(np.concatenate(arrays) for arrays in zip(*parts)))
 
 
-def shares(points: ShadingPoints) -> np.ndarray:
-    """Part of its pixel's diffuse albedo that each point is, (N,) float32; 0 where its own is black."""
+def shares(points: ShadingPoints, wide: float | None = None) -> np.ndarray:
+    """Part of its pixel's diffuse albedo that each point is, (N,) float32; 0 where its own is black.
+
+    wide: the glossy albedo of points at least so rough counts, too; None for none.
+    """
     albedo = np.einsum("nc->n", points.albedo)
+    if wide is not None:
+        albedo += np.einsum("nc->n", points.f0) * (points.roughness >= wide)
     whole = np.bincount(points.pixel, albedo)
     return np.divide(albedo, whole[points.pixel], out=np.zeros_like(albedo), where=albedo > 0)
 

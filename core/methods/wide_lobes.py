@@ -1,0 +1,85 @@
+"""Glossy lobes so wide that the rays of diffuse light serve them as well: how three ways to find the same light share it.
+
+A wide lobe sees what a diffuse surface sees, and rays drawn from it alone are as noisy as so few gather rays.  So all rays of a point count for
+its lobe, too: of the light that a surface y sends to a point x from direction d, virtual lights carry what they carry to the diffuse lobe
+(`importance_sampling`), but no more than `bound` of it, for their shadow rays are not drawn where the lobe is bright.  The rest is left to
+gather rays and rays from the lobe, by the balance heuristic (Veach & Guibas 1995).
+
+Surfaces nearer than the lobe's blur of a cell of the cache are left to the rays from the lobe alone.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..jit import inlined
+from ..scene import DIFFUSE, GLOSSY
+from ..surfaces.lobes import ALBEDO, ALPHA
+
+WIDE_ALPHA = np.float32(0.1)  # of narrower lobes the other rays find next to nothing
+MOST = np.float32(3.0)  # times a lobe's albedo, as a diffuse one: brighter directions are left to its own rays in part
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+_THIRD = np.float32(1 / 3)
+_INV_PI = np.float32(1 / np.pi)
+
+
+class SharedRays(NamedTuple):
+    """The other rays of N points that count for their lobes.
+
+    gather: (N,) int32, gather rays of each.  lights: whether virtual lights carry their part.  g_max: clamp of their geometry term.
+    """
+
+    gather: np.ndarray
+    lights: bool
+    g_max: np.float32
+
+
+def no_sharing(n: int) -> SharedRays:
+    """Of n points whose lobes have rays of their own only."""
+    return SharedRays(np.zeros(n, np.int32), False, _1)
+
+
+def sees_alike(visibility: np.ndarray) -> bool:
+    """Whether rays of diffuse and of glossy light may meet the same objects, of a `visibility` (O,) each: else they cannot stand for each other."""
+    return bool((((visibility & DIFFUSE) > 0) == ((visibility & GLOSSY) > 0)).all())
+
+
+@inlined
+def is_wide(lobe):
+    """Whether other rays than its own serve a lobe (row of `surfaces.lobes`)."""
+    return lobe[ALPHA] > WIDE_ALPHA
+
+
+@inlined
+def bound(lobe, cosine, r, g, b):
+    """The part, 0 to 1, of what virtual lights carry to the diffuse lobe that they carry to this one, towards a direction.
+
+    cosine: of the direction with the shading normal.  (r, g, b): the lobe times its cosine there, 1/sr.
+    """
+    value = _THIRD * (r + g + b)
+    return min(_1, MOST * lobe[ALBEDO] * max(_0, cosine) * _INV_PI / max(value, np.float32(1e-20)))
+
+
+@inlined
+def balance(mine, others):
+    """Balance heuristic: the share of a way whose rays have the density `mine`, beside `others`."""
+    return mine / max(mine + others, np.float32(1e-20))
+
+
+@inlined
+def gather_density(rays, cosine):
+    """Density (1/sr) of so many cosine-distributed rays."""
+    return np.float32(rays) * max(_0, cosine) * _INV_PI
+
+
+@inlined
+def known_light(cache, cell, c, carried):
+    """What a cell of a `light_cache.LightCache` sends to a lobe in channel c (W/m^2), less the part `carried` of what virtual lights carry of it.
+
+    A glossy reflection counts as no bounce: the light may have left one surface more than what gather rays look up.
+    """
+    row = len(cache.radiosity) - 1
+    return cache.sent[cell, c] + cache.radiosity[row, cell, c] - cache.radiosity[row - 1, cell, c] - carried * cache.lit[cell, c]
