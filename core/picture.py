@@ -13,11 +13,13 @@ from .group_shares import shares_of
 from .lamps import LightGroups
 from .layers import GROUP_LAYERS, Layers
 from .scene import Scene
-from .view.points import ShadingPoints
+from .surfaces.lobes import NEGLIGIBLE
+from .view.points import ShadingPoints, glossy_albedos
 from .view.primary import View
 
 MIRRORED, MIRRORED_PIXELS = 0.1, 0.01  # albedo in a mirror that a denoiser goes by, and the least share of the pixels
 MOSTLY_MIRRORED = 0.04  # share of the pixels from which on a quick picture's guide is worth a denoising, too
+SHOWN, MOSTLY = 0.8, 0.98  # what the strongest lobes of a picture but for a few are to the denoiser
 MARGIN = 16  # pixels around what is denoised of a picture, which a denoiser sees, too
 LEAST_FORESEEN = np.float32(1e-6)  # of its mean: what is darker has no light to be told from noise
 QUICKER = {"high": "balanced", "balanced": "fast"}  # of OIDN's qualities, for layers that gain little by the better one
@@ -65,6 +67,7 @@ class Picture:
     weight: how many samples it stands for, on any scale.  triangle: (H, W) int32, of `position`, where it is asked for.
     smooth: what of the diffuse indirect light comes from a method without noise, and is left as it is by `denoised`; None for nothing.
     alpha: (H, W) float32, the part of each pixel that is not the world, None where the film is opaque.
+    glossy_albedo: (H, W, 3) float32, what glossy lobes reflect, which tells the denoiser where there are any; None for nothing known.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
     """
 
@@ -83,6 +86,7 @@ class Picture:
     triangle: np.ndarray | None = None
     smooth: np.ndarray | None = None
     alpha: np.ndarray | None = None
+    glossy_albedo: np.ndarray | None = None
     groups: dict[str, GroupLight] = field(default_factory=dict)
 
     @staticmethod
@@ -115,6 +119,7 @@ class Picture:
             position=seen.position,
             depth=seen.depth,
             weight=weight,
+            glossy_albedo=splat(seen.points, glossy_albedos(seen.points), seen.shape),
             groups={} if groups is None else groups.told_apart(parts, GroupLight(*(np.zeros_like(seen.albedo) for _ in LIGHT))),
         )
 
@@ -126,7 +131,7 @@ class Picture:
             name: GroupLight(*(a * mine + b * its for mine, its in zip(light, other.groups[name]))) for name, light in self.groups.items()
         }
         means = {name: a * getattr(self, name) + b * getattr(other, name) for name in _MEANS}
-        for name in ("alpha", "smooth"):
+        for name in ("alpha", "smooth", "glossy_albedo"):
             if getattr(self, name) is not None:
                 means[name] = a * getattr(self, name) + b * getattr(other, name)
         return replace(self, weight=whole, groups=groups, **means)
@@ -167,7 +172,7 @@ class Picture:
             found["diffuse_indirect"] = self._diffuse_cleaned(denoiser, cleaned)
         if indirect and self.glossy_indirect.any():
             guide, clean = self._mirrored_guide(denoiser, threads, quality)
-            found["glossy_indirect"] = cleaned(self.glossy_indirect, guide, clean_aux=clean)
+            found["glossy_indirect"] = cleaned(self.glossy_indirect, self._glossy_guide(guide), clean_aux=clean)
         if direct and self.direct.any():
             found["direct"] = cleaned(self.direct, self.albedo, QUICKER.get(quality, quality))
         return replace(self, **found)
@@ -186,6 +191,17 @@ class Picture:
             "albedo", beyond[rows, columns], quality="fast", threads=threads
         )
         return guide, True
+
+    def _glossy_guide(self, guide: np.ndarray) -> np.ndarray:
+        """Half `guide`, half what lobes reflect, on a scale on which it can be seen: a white frame on a white wall may be all that shines."""
+        if self.glossy_albedo is None:
+            return guide
+        shown = largest(self.glossy_albedo)
+        glossy = shown[shown > NEGLIGIBLE]
+        if not len(glossy):
+            return guide
+        scale = np.float32(SHOWN / np.quantile(glossy, MOSTLY))
+        return np.float32(0.5) * (guide + np.minimum(scale * self.glossy_albedo, np.float32(1)))
 
     def _diffuse_cleaned(self, denoiser: Denoiser, cleaned: Callable[..., np.ndarray]) -> np.ndarray:
         """The diffuse indirect light without noise: the mean of two ways to denoise it, whose errors have little in common.

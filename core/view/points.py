@@ -6,7 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..jit import kernel
+from ..surfaces.layout import glossy_rise
+
 SPREAD = 3  # further places of a point on its surface
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
 
 
 class ShadingPoints(NamedTuple):
@@ -79,3 +84,17 @@ def pixel_maxima(values: np.ndarray, pixel: np.ndarray, shape: tuple[int, int]) 
     out = np.zeros((shape[0] * shape[1], values.shape[1]), np.float32)
     np.maximum.at(out, pixel, values)
     return out.reshape(*shape, -1)
+
+
+@kernel
+def glossy_albedos(points):
+    """(N, 3) float32: albedo of the points' glossy lobes for their viewers, times the share of the pixel."""
+    out = np.empty_like(points.f0)
+    for i in range(len(out)):
+        cosine = _0
+        for c in range(3):
+            cosine += points.ns[i, c] * points.wo[i, c]
+        rise = glossy_rise(min(max(cosine, _0), _1), points.roughness[i])
+        for c in range(3):
+            out[i, c] = points.f0[i, c] + rise * (points.f90[i, c] - points.f0[i, c])
+    return out
