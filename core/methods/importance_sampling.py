@@ -59,7 +59,7 @@ from .glossy import has_lobes
 from .instant_radiosity import clamp_of
 from .light_cache import DEPTH, NEAR, LightCache, Probes, build_light_cache, find_cell, look_up
 from .partition import strengths, trusted
-from .probes import Tracer, trace_probes
+from .probes import Tracer, trace_farther, trace_probes
 from .tails import path_light
 from .wide_lobes import WIDE_ALPHA, SharedRays, bound, gather_density, is_wide, known_light
 
@@ -463,11 +463,15 @@ class ImportanceSampling:
             paths = cache_paths(texels, (self.samples + self.gather) * n / max(1, texels))
         seed = self.seed ^ 0x51AB5
         probes, rays = tracer(scene, points, paths, seed, self.threads, part(progress, 0.0, 0.4))
+        first = probes
         if own and focus:
             more = min(MOST_MORE, math.ceil(TELLING / max(1.0, _telling(probes))) - 1)
             if more > 0:
                 others, found = tracer(scene, points, more * paths, seed + 1, self.threads, part(progress, 0.4, 0.6))
                 probes, rays = Probes.concatenate([probes, others]), rays + found
+        if tracer is trace_probes:
+            others, found = trace_farther(scene, points, first, seed, self.threads)
+            probes, rays = Probes.concatenate([probes, others]), rays + found
         # Where the view's light comes from last: there the particles are wanted.
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
         self.emitters = focused(scene.emitters, self.lit_from) if focus else scene.emitters

@@ -538,6 +538,50 @@ def _size_for(probes: Probes, origin: np.ndarray, size: float, low: float, high:
     return size
 
 
+@kernel
+def _mark_unknown(probes, origin, size, keys, used, unknown):
+    """Marks the rows of `unknown` (N,) whose links end where no probe lies in the same coarsest cell; keys, used: (T,) an empty hash table."""
+    for turn in range(2):
+        for p in range(len(probes.valid)):
+            if not probes.valid[p] or (turn == 1 and probes.link[p] == MISSED):
+                continue
+            at_link = turn == 1
+            position = probes.link_position if at_link else probes.position
+            normal = probes.link_normal if at_link else probes.normal
+            key = _key(
+                origin, size, LEVELS - 1, position[p, 0], position[p, 1], position[p, 2], normal[p, 0], normal[p, 1], normal[p, 2],
+                probes.link_side[p] if at_link else probes.side[p],
+            )  # fmt: skip
+            at = _home(key, len(keys))
+            while used[at] and keys[at] != key:
+                at = (at + 1) & (len(keys) - 1)
+            if at_link:
+                unknown[p] = not used[at]
+            else:
+                keys[at], used[at] = key, True
+
+
+def unknown_paths(probes: Probes) -> np.ndarray:
+    """Which paths (P,) meet a surface last around which no probe lies, not even in the coarsest of the cells that there would be."""
+    n = int((probes.valid > 0).sum())
+    if n == 0:
+        return np.zeros(0, np.int64)
+    origin, extent = _grid(probes)
+    size = np.float32(cell_size(probes, origin, extent, 0))
+    slots = 1 << max(10, int(np.ceil(np.log2(2 * n + 2))))
+    unknown = np.zeros(len(probes.valid), np.bool_)
+    _mark_unknown(probes, origin, size, np.empty(slots, np.uint64), np.zeros(slots, np.bool_), unknown)
+    return np.unique(np.flatnonzero(unknown) // DEPTH)
+
+
+def _grid(probes: Probes) -> tuple[np.ndarray, float]:
+    """Origin (3,) float32 of the cells of some probes, and the extent of what they tell of (m)."""
+    known = probes.position[probes.valid > 0] if probes.valid.any() else np.zeros((1, 3), np.float32)
+    low, high = bounds(known)
+    extent = float(max((high - low).max(), 1e-6 * np.abs(known).max(), 1e-9))
+    return (low - extent).astype(np.float32), extent
+
+
 def build_light_cache(
     probes: Probes,
     bounces: int,
@@ -562,10 +606,7 @@ def build_light_cache(
             raise Cancelled
 
     n = int(probes.valid.sum())
-    known = probes.position[probes.valid > 0] if n else np.zeros((1, 3), np.float32)
-    low, high = bounds(known)
-    extent = float(max((high - low).max(), 1e-6 * np.abs(known).max(), 1e-9))
-    origin = (low - extent).astype(np.float32)
+    origin, extent = _grid(probes)
     size = np.float32(cell_size(probes, origin, extent, seed))
     go_on(0.1)
     cells = np.zeros((len(probes.valid), LEVELS), np.int32)

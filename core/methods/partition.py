@@ -14,6 +14,7 @@ RARE = np.float32(2.0)
 # particles reach, and would be a spark on what little of the view it sees.
 STRONG = 20.0
 NEAREST = 64  # lights that tell how strong those of a cell are: where sun and sky are focused, one in fifty may have most of the power
+ALIKE = 3.0  # squared distance of a cell from the middle of its lights, by their squared deviation, up to which they tell of it as they are
 _1 = np.float32(1.0)
 
 
@@ -78,6 +79,11 @@ def trusted(
     strong = strength.astype(np.float64)[near.reshape(len(cells), -1)]
     # Strong lights are few where weak ones are many: each counts by the surface for which it stands.
     strong = (strong * strong).sum(axis=1) / np.maximum(strong.sum(axis=1), 1e-30)
+    # Lights that lie all on one side, far from the cell by how wide they lie, tell nothing of what lights there are in it, as round a corner.
+    around = position.astype(np.float64)[near.reshape(len(cells), -1)]
+    centroid = around.mean(axis=1)
+    away, wide = (((a - b) ** 2).sum(axis=-1) for a, b in ((centroid, middle[:, :3]), (around, centroid[:, None])))
+    strong *= np.minimum(1, ALIKE * wide.mean(axis=1) / np.maximum(away, 1e-30))
     return (1 / (1 + strong**2)).astype(np.float32)[of]
 
 

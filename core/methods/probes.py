@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from ..jit import kernel, leaf
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
-from ..sampling.hashing import uniform
+from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE
 from ..surfaces.layout import SURFACE
@@ -20,20 +21,26 @@ from ..surfaces.visibility import nearest_surface
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .light_cache import DEPTH, DIFFUSE_LINK, GLOSSY_LINK, Probes
+from .light_cache import DEPTH, DIFFUSE_LINK, GLOSSY_LINK, Probes, unknown_paths
 from .tails import DIMENSIONS, scatter_light
 
 # (scene, points, paths, seed, threads, progress) -> probes along about as many paths from the points, and the rays traced.
 Tracer = Callable[[Transport, ShadingPoints, int, int, int, Progress | None], tuple[Probes, int]]
 
 CHUNK = 512  # paths a chunk
+FARTHEST = 8  # probes of a path that is followed on
+FEWER, MOST_TURNS = 1 / 16, 32  # of all paths are followed on at most, and each so many times
+IMPORTANT = 0.1  # of the direct light that all probes tell: where those beyond tell so much, all turns are worth it
 LAMP_RAYS = 4  # shadow rays of a probe: what is stored serves many
 _1 = np.float32(1.0)
 
 
 @leaf
-def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path):
-    """One path from a visible point: up to `depth` probes from row `first` on, each with its link; the rays traced."""
+def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, turn):
+    """One path from a visible point: up to `depth` probes from row `first` on, each with its link; the rays traced.
+
+    turn: paths that differ in it alone part after `DEPTH` probes.
+    """
     lx, ly, lz = cosine_hemisphere(uniform(seed, path, 0, 6), uniform(seed, path, 0, 7))
     dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
     if gx * dx + gy * dy + gz * dz <= 0:
@@ -43,6 +50,8 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
     for vertex in range(depth + 1):
         at = (vertex + 1) * DIMENSIONS
         probe = first + vertex
+        if vertex == DEPTH:
+            seed = hash_combine(seed, turn)
         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
         rays += 1
         triangle, u, v, t, r, g, b = nearest_surface(
@@ -85,18 +94,21 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
 
 
 @kernel
-def _probe_chunk(scene, points, start, begin, end, depth, seed, probes):
+def _probe_chunk(scene, points, start, number, begin, end, depth, turn, seed, probes):
+    """Paths number[begin..end-1] (P,), which begin at the points start[number], of up to `depth` probes each; the rays traced."""
     packet = new_packet()
     rows = new_registers(scene.materials)
     surface = np.zeros(SURFACE, np.float32)
     lobe = np.zeros(LOBE, np.float32)
     rays = 0
-    for path in range(begin, end):
+    for k in range(begin, end):
+        path = number[k]
         i = start[path]
         rays += _probe_path(
-            scene, packet, rows, surface, lobe, probes, path * depth, depth,
+            scene, packet, rows, surface, lobe, probes, k * depth, depth,
             points.position[i, 0], points.position[i, 1], points.position[i, 2], points.error[i],
-            points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2], seed, np.uint32(path),
+            points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
+            seed, np.uint32(path), np.uint32(turn + k),
         )  # fmt: skip
     return rays
 
@@ -105,13 +117,53 @@ def trace_probes(
     scene: Transport, points: ShadingPoints, paths: int, seed: int, threads: int = 0, progress: Progress | None = None
 ) -> tuple[Probes, int]:
     """Probes along `paths` paths that begin at points spread evenly over the view; the number of rays traced."""
-    probes = Probes.allocate(paths * DEPTH, scene.emitters.light_groups)
+    return _trace(scene, points, paths, np.arange(paths), DEPTH, seed, threads, progress)
+
+
+def trace_farther(
+    scene: Transport, points: ShadingPoints, probes: Probes, seed: int, threads: int = 0, progress: Progress | None = None
+) -> tuple[Probes, int]:
+    """The probes that paths of `trace_probes`, with the same points and seed, find beyond what these know, and the rays traced.
+
+    Where light comes round corners, the last links of many paths end at surfaces of which no probe tells; these paths are followed on.
+    """
+    paths = len(probes.valid) // DEPTH
+    number = unknown_paths(probes)
+    found, rays = _follow(scene, points, paths, number, 0, seed, threads, progress)
+    known, beyond = (float(part.direct.sum(dtype=np.float64)) for part in (probes, found))
+    # Few of them may carry most of the light: then each is followed on many times.
+    turns = MOST_TURNS * min(1.0, beyond / max(IMPORTANT * known, 1e-30)) if beyond > 0 else 0.0
+    further = number.repeat(max(0, round(turns) - 1))
+    further = further[:: max(1, math.ceil(len(further) / max(1.0, FEWER * paths)))]
+    others, more = _follow(scene, points, paths, further, len(number), seed, threads, progress)
+    return Probes.concatenate([found, others]), rays + more
+
+
+def _follow(
+    scene: Transport, points: ShadingPoints, paths: int, number: np.ndarray, turn: int, seed: int, threads: int, progress: Progress | None
+) -> tuple[Probes, int]:
+    """What the paths `number` of `paths` find beyond `DEPTH` probes: each that in the last row of a path of its own, for no visible point
+    has met it.  turn: the first one's number, which no other call may share."""
+    found, rays = _trace(scene, points, paths, number, FARTHEST, seed, threads, progress, turn)
+    beyond = np.flatnonzero((found.valid > 0) & (np.arange(len(found.valid)) % FARTHEST >= DEPTH))
+    others = Probes.allocate(DEPTH * len(beyond), scene.emitters.light_groups)
+    for column, values in zip(others, found, strict=True):
+        column[DEPTH - 1 :: DEPTH] = values[beyond]
+    return others, rays
+
+
+def _trace(
+    scene: Transport, points: ShadingPoints, paths: int, number: np.ndarray, depth: int, seed: int, threads: int, progress: Progress | None,
+    turn: int = 0,
+) -> tuple[Probes, int]:  # fmt: skip
+    """The paths `number` (P,) of `paths`, of up to `depth` probes each; turn: as of `_probe_path`, of the first of them."""
+    probes = Probes.allocate(len(number) * depth, scene.emitters.light_groups)
     offsets = np.random.default_rng(seed).random(paths)
     start = np.minimum(((np.arange(paths) + offsets) * (len(points.pixel) / paths)).astype(np.int64), len(points.pixel) - 1)
 
     def work(begin, end):
-        return _probe_chunk(scene, points, start, begin, end, DEPTH, np.uint32(seed), probes)
+        return _probe_chunk(scene, points, start, number, begin, end, depth, turn, np.uint32(seed), probes)
 
-    rays = sum(run_chunks(work, paths, CHUNK, threads, progress))
+    rays = sum(run_chunks(work, len(number), CHUNK, threads, progress))
     np.add(probes.direct, probes.shine, out=probes.direct)
     return probes, rays
