@@ -44,7 +44,7 @@ from .surfaces.layout import (
     glossy_albedo,
     passing_chance,
 )
-from .surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
+from .surfaces.lobes import ALPHA, LOBE, NORMAL, VIEWER, sample_lobe, set_lobe
 from .surfaces.normals import shading_normal, surface_side
 from .surfaces.program import new_registers
 from .surfaces.visibility import evaluate_along
@@ -130,6 +130,38 @@ def _reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2):
         return gx, gy, gz, _0, _0, _0
     adjoint = min(_MAX_ADJOINT, cos_g / cos_s)
     return wx, wy, wz, adjoint * r, adjoint * g, adjoint * b
+
+
+@leaf
+def _axis(lobe, sharpest, gx, gy, gz, wx, wy, wz):
+    """Axis and sharpness of a light for a reflection into the direction w, drawn from the lobe: all such lights together shine as the lobe does.
+
+    A light about w itself would spread it twice.  Its axis lies between w and the middle of the lobe, its sharpness is up to twice
+    the lobe's: then both spreads together, axes and lights, are the lobe's.  No light is sharper than `sharpest`; where that is
+    not as sharp as the lobe, all axes lie in the middle.
+    """
+    if not sharpest > _0:
+        return wx, wy, wz, _0
+    alpha = lobe[ALPHA]
+    own = _AS_WIDE / max(alpha * alpha, np.float32(1e-12))
+    sharp = min(sharpest, np.float32(2.0) * own)
+    toward = np.float32(math.sqrt(max(_0, _1 - own / sharp)))
+    nx, ny, nz = lobe[NORMAL], lobe[NORMAL + 1], lobe[NORMAL + 2]
+    vx, vy, vz = lobe[VIEWER], lobe[VIEWER + 1], lobe[VIEWER + 2]
+    c = np.float32(2.0) * (nx * vx + ny * vy + nz * vz)
+    # Wide lobes lean towards the normal (Lagarde & de Rousiers 2014, Moving Frostbite to PBR, section 4.9.3).
+    lean = _1 - alpha * alpha
+    mx, my, mz = nx + lean * (c * nx - vx - nx), ny + lean * (c * ny - vy - ny), nz + lean * (c * nz - vz - nz)
+    length = np.float32(math.sqrt(mx * mx + my * my + mz * mz))
+    mx, my, mz = mx / length, my / length, mz / length
+    ax, ay, az = mx + toward * (wx - mx), my + toward * (wy - my), mz + toward * (wz - mz)
+    length = np.float32(math.sqrt(ax * ax + ay * ay + az * az))
+    if not length > np.float32(1e-3):
+        return wx, wy, wz, sharp
+    ax, ay, az = ax / length, ay / length, az / length
+    if ax * gx + ay * gy + az * gz <= _0:
+        return wx, wy, wz, sharp
+    return ax, ay, az, sharp
 
 
 @kernel
@@ -265,10 +297,9 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     if glossy:
                         wx, wy, wz, r, g, b = _reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2)
                         r, g, b = r / chance, g / chance, b / chance
-                        alpha = surface[ROUGHNESS] * surface[ROUGHNESS]
-                        sharp = min(sharpest, _AS_WIDE / max(alpha * alpha, np.float32(1e-12)))
-                        # About w, it is cut off by the surface; what is left has the light of all of it.
-                        lit = np.float32(2.0) / (_1 + _flattened(gx * wx + gy * wy + gz * wz, sharp))
+                        axis_x, axis_y, axis_z, sharp = _axis(lobe, sharpest, gx, gy, gz, wx, wy, wz)
+                        # About its axis, it is cut off by the surface; what is left has the light of all of it.
+                        lit = np.float32(2.0) / (_1 + _flattened(gx * axis_x + gy * axis_y + gz * axis_z, sharp))
                     else:
                         lx, ly, lz = cosine_hemisphere(u1, u2)
                         wx, wy, wz = to_world(lx, ly, lz, gx, gy, gz)
@@ -280,8 +311,8 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, wx, wy, wz)
                     vpls.surface_normal[n, 0], vpls.surface_normal[n, 1], vpls.surface_normal[n, 2] = gx, gy, gz
                     if glossy:
-                        # Shadow rays move it along w alone, which may graze the surface.
-                        x, y, z, gx, gy, gz = ox, oy, oz, wx, wy, wz
+                        # Shadow rays move it along its axis alone, which may graze the surface.
+                        x, y, z, gx, gy, gz = ox, oy, oz, axis_x, axis_y, axis_z
                     vpls.position[n, 0], vpls.position[n, 1], vpls.position[n, 2] = x, y, z
                     vpls.normal[n, 0], vpls.normal[n, 1], vpls.normal[n, 2] = gx, gy, gz
                     vpls.flux[n, 0], vpls.flux[n, 1], vpls.flux[n, 2] = r * lit, g * lit, b * lit
