@@ -131,8 +131,8 @@ def trace_farther(
     number = unknown_paths(probes)
     found, rays = _follow(scene, points, paths, number, 0, seed, threads, progress)
     known, beyond = (float(part.direct.sum(dtype=np.float64)) for part in (probes, found))
-    # Few of them may carry most of the light: then each is followed on many times.
-    turns = MOST_TURNS * min(1.0, beyond / max(IMPORTANT * known, 1e-30)) if beyond > 0 else 0.0
+    # Few of them may carry most of the light, or all: then each is followed on many times.
+    turns = MOST_TURNS * min(1.0, beyond / (IMPORTANT * known)) if known > 0 else MOST_TURNS
     further = number.repeat(max(0, round(turns) - 1))
     further = further[:: max(1, math.ceil(len(further) / max(1.0, FEWER * paths)))]
     others, more = _follow(scene, points, paths, further, len(number), seed, threads, progress)

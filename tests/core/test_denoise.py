@@ -118,6 +118,20 @@ def test_same_bits_for_any_number_of_threads_and_calls(denoiser):
     np.testing.assert_array_equal(denoiser.denoise(noisy, albedo, normal, threads=1), first)
 
 
+def test_thin_bright_things_do_not_get_brighter():
+    # The quick network makes the lit rim of a shade four times too bright.
+    before = np.full((40, 50, 3), 0.1, np.float32)
+    before[20] = 10
+    after = before.copy()
+    after[20, :, 0] = 40
+    np.testing.assert_array_equal(dn._without_overshoot(before, after), before)
+    # Few pixels have all the light: what is spread over the others is brighter than they are.
+    sparse = np.zeros_like(before)
+    sparse[::7, ::7] = 5
+    smooth = np.full_like(before, sparse.mean())
+    np.testing.assert_array_equal(dn._without_overshoot(sparse, smooth.copy()), smooth)
+
+
 def test_mean_can_be_kept(denoiser):
     noisy, _, albedo, normal = picture()
     clean = denoiser.denoise(noisy, albedo, normal, preserve_mean=True)

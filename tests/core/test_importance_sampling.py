@@ -312,6 +312,39 @@ def test_empty_scenes_have_an_empty_cache(room):
     assert rays > 0 and probes.valid.any()
 
 
+def boxed(low, high):
+    """The six faces of a box, seen from inside."""
+    corners = [tuple((low, high)[bit][axis] for axis, bit in enumerate(bits)) for bits in np.ndindex(2, 2, 2)]
+    return [[corners[k] for k in face] for face in [(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)]]
+
+
+def test_light_comes_round_more_corners_than_the_first_probes_see(build):
+    # Three walls across a corridor, with gaps on either side in turn, and the lamp behind them all.
+    walls = boxed((-5, -1, -1), (5, 1, 1))
+    for k, x in enumerate((-2.5, 0, 2.5)):
+        low, high = (-1, 0.6) if k % 2 == 0 else (-0.6, 1)
+        walls += [face[::-1] for face in boxed((x - 0.05, low, -1), (x + 0.05, high, 1))]
+    lamp = [(4.9, -0.3, -0.3), (4.9, -0.3, 0.3), (4.9, 0.3, 0.3), (4.9, 0.3, -0.3)]
+    quads = build.geometry(*build.quads(*walls, lamp), material=np.repeat([0, 1], [2 * len(walls), 2]))
+    eye = build.camera(width=24, height=18, position=(-4.8, 0, 0))
+    scene = build.scene(quads, build.materials((0.7, 0.0), (0.0, 50.0)), camera=eye)
+    with RayScene(quads.vertices, quads.triangles) as rays:
+        tables = transport(quads, scene.materials.tables, rays.tables, build_emitters(scene))
+        points = view(scene, rays.tables, world_tables(scene.world), 2, 1, 1).points
+        exact = ImportanceSampling(samples=0, gather=1024, bounces=6, seed=99)
+        exact.cache_light(tables, points, paths=1000)
+        exact.prepare(tables, points, 16)
+        exact.cache, exact.near = no_cache(), np.float32(np.inf)
+        truth = exact.irradiance(points).mean(dtype=float)
+        found = []
+        for seed in range(4):
+            solver = ImportanceSampling(samples=4, gather=4, bounces=6, seed=seed)
+            solver.cache_light(tables, points)
+            solver.prepare(tables, points, 1024)
+            found.append(solver.irradiance(points).mean(dtype=float))
+    assert 0.3 < np.mean(found) / truth < 2  # eight seeds: .70 +- .16; none at all where paths end after two probes
+
+
 @pytest.fixture(scope="module")
 def windowed(build):
     """(transport tables, shading points) of a room in a wide sunlit land, with a window in the wall towards the sun; its ray scene is kept."""
