@@ -2,7 +2,8 @@
 
 A program is a straight list of instructions over rows of four floats.  An instruction is eight integers
 (operation, destination row, operand rows a b c d e, parameter p).  Rows 0..REGISTERS-1 are registers,
-the rows after them are the constants of all materials.  A scalar fills x, y and z of its row, so that it
+the rows after them are the constants of all materials, the first of which says where the viewer is (see
+`footprint`).  A scalar fills x, y and z of its row, so that it
 reads as a grey colour or vector as it is.  Operations on closures add to the surface (see `layout`).
 The rarer operations are in `outlined` and are called by address, so that kernels which evaluate
 materials stay small and compile fast.
@@ -14,7 +15,7 @@ import numpy as np
 
 from ..jit import inlined, kernel, leaf
 from ..scene import CONSTANT, MaterialTables
-from . import closures, outlined, textures
+from . import closures, footprint, outlined, textures
 from .colors import luminance
 from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TRANSPARENCY
 
@@ -57,7 +58,10 @@ MEAN_VIEW = 2.0
     SHEEN_CLOSURE,  # (weight, roughness) a, tint b; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
     NORMAL_MAP,  # world-space normal a
-) = range(27)
+    # -- bumps --
+    DISPLACED,  # attribute slot p at (u + a.x, v + a.y)
+    FOOTPRINT,  # size of a pixel at the world position a (m)
+) = range(29)
 
 
 @kernel
@@ -81,6 +85,18 @@ def _box(tables, texture, x, y, z, nx, ny, nz, mix):
             tr, tg, tb, ta = textures.sample(tables.texture_header, tables.texels_u8, tables.texels_f32, texture, u, v)
             r, g, b, a = r + weight * tr, g + weight * tg, b + weight * tb, a + weight * ta
     return r, g, b, a
+
+
+@leaf
+def _attribute(attributes, slot, triangle, u, v):
+    w = F(1) - u - v
+    a = attributes[slot, triangle]
+    return (
+        w * a[0, 0] + u * a[1, 0] + v * a[2, 0],
+        w * a[0, 1] + u * a[1, 1] + v * a[2, 1],
+        w * a[0, 2] + u * a[1, 2] + v * a[2, 2],
+        w * a[0, 3] + u * a[1, 3] + v * a[2, 3],
+    )
 
 
 @inlined
@@ -186,6 +202,10 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
             x, y, z = closures.coat(surface, ax, ay, az, bx, by, bz, dx, dy, dz, cosine)
         elif op == NORMAL_MAP:
             surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2] = ax, ay, az
+        elif op == DISPLACED:
+            x, y, z, w = _attribute(attributes, p, triangle, u + ax, v + ay)
+        elif op == FOOTPRINT:
+            x = y = z = footprint.pixel_size(rows[REGISTERS, 0], rows[REGISTERS, 1], rows[REGISTERS, 2], rows[REGISTERS, 3], ax, ay, az)
         rows[destination, 0], rows[destination, 1], rows[destination, 2], rows[destination, 3] = x, y, z, w
         at += 1
     closures.finish(surface)

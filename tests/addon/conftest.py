@@ -194,6 +194,7 @@ def _evaluate(found, index, columns, cosine, place):
     attributes = np.zeros((max(1, found.slots), 2, 3, 4), np.float32)
     for k, request in enumerate(found.requests[index]):
         attributes[k] = _attribute(request, index, columns)[TRIANGLES]
+    found.materials.tables.constants[0] = 0, 0, 0, -1 / PIXELS  # the size of a pixel: see `surfaces.footprint`
     x, y = place.T
     # (0,0) (1,0) (1,1) below the diagonal, (0,0) (1,1) (0,1) above it
     below = x >= y

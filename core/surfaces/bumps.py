@@ -1,0 +1,90 @@
+"""Bump mapping: a normal turned by the slope of a height over the surface (Mikkelsen 2010, "Bump Mapping Unparametrized
+Surfaces on the GPU"), as Cycles' Bump node does (kernel/svm/displace.h, svm_node_set_bump).
+
+The slope is measured over two steps at right angles in the plane of the triangle.  They are Cycles' in direction and length, so
+that what a step is too long for looks the same.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..jit import inlined
+
+F = np.float32
+_SMALLEST = F(1e-20)
+
+
+@inlined
+def _tangents(mx, my, mz):
+    """Two unit vectors at right angles to the unit vector m: those of Cycles (make_orthonormals)."""
+    if mx != my or mx != mz:
+        tx, ty, tz = mz - my, mx - mz, my - mx
+    else:
+        tx, ty, tz = mz - my, mx + mz, -my - mx
+    s = F(1) / F(math.sqrt(tx * tx + ty * ty + tz * tz))
+    tx, ty, tz = s * tx, s * ty, s * tz
+    return tx, ty, tz, my * tz - mz * ty, mz * tx - mx * tz, mx * ty - my * tx
+
+
+@inlined
+def _face(ex, ey, ez, fx, fy, fz):
+    """Unit normal of a triangle with the edges e and f from its first corner, and twice its area (0: no normal)."""
+    mx, my, mz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
+    area = F(math.sqrt(mx * mx + my * my + mz * mz))
+    s = F(1) / area if area > _SMALLEST else F(0)
+    return s * mx, s * my, s * mz, area
+
+
+@inlined
+def steps(ex, ey, ez, fx, fy, fz, step):
+    """Steps (u, v), (u, v) in barycentric coordinates that go `step` (m) along the tangents; none on a triangle without area."""
+    mx, my, mz, area = _face(ex, ey, ez, fx, fy, fz)
+    if not area > _SMALLEST:
+        return F(0), F(0), F(0), F(0)
+    tx, ty, tz, bx, by, bz = _tangents(mx, my, mz)
+    s = step / area
+    ux, uy, uz = s * (fy * mz - fz * my), s * (fz * mx - fx * mz), s * (fx * my - fy * mx)
+    vx, vy, vz = s * (my * ez - mz * ey), s * (mz * ex - mx * ez), s * (mx * ey - my * ex)
+    return (
+        tx * ux + ty * uy + tz * uz,
+        tx * vx + ty * vy + tz * vz,
+        bx * ux + by * uy + bz * uz,
+        bx * vx + by * vy + bz * vz,
+    )
+
+
+@inlined
+def gradient(ex, ey, ez, fx, fy, fz, rise_x, rise_y, step):
+    """The gradient, in the triangle's plane, of what rises so much over `step` (m) along the tangents."""
+    mx, my, mz, area = _face(ex, ey, ez, fx, fy, fz)
+    if not area > _SMALLEST or not step > _SMALLEST:
+        return F(0), F(0), F(0)
+    tx, ty, tz, bx, by, bz = _tangents(mx, my, mz)
+    dx, dy = rise_x / step, rise_y / step
+    return dx * tx + dy * bx, dx * ty + dy * by, dx * tz + dy * bz
+
+
+@inlined
+def bumped_normal(nx, ny, nz, dx, dy, dz, strength, mx, my, mz):
+    """Unit normal: n turned against the gradient d of a height over a face of normal m (of any length and sign).
+
+    strength: the share of the bump, more than 1 exaggerates it.
+
+    Cycles sums up tangents times rises, (m x d) x n = d (m . n) - m (n . d), and divides by the determinant m . n.
+    """
+    s = F(1) / max(F(math.sqrt(nx * nx + ny * ny + nz * nz)), _SMALLEST)
+    nx, ny, nz = s * nx, s * ny, s * nz
+    s = F(1) / max(F(math.sqrt(mx * mx + my * my + mz * mz)), _SMALLEST)
+    det = s * (mx * nx + my * ny + mz * nz)
+    if not abs(det) > F(1e-6):
+        return nx, ny, nz
+    s *= (nx * dx + ny * dy + nz * dz) / det
+    x, y, z = nx - dx + s * mx, ny - dy + s * my, nz - dz + s * mz
+    s = strength / max(F(math.sqrt(x * x + y * y + z * z)), _SMALLEST)
+    rest = F(1) - strength
+    x, y, z = s * x + rest * nx, s * y + rest * ny, s * z + rest * nz
+    s = F(1) / max(F(math.sqrt(x * x + y * y + z * z)), _SMALLEST)
+    return s * x, s * y, s * z
