@@ -45,7 +45,7 @@ from .surfaces.layout import (
     passing_chance,
 )
 from .surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
-from .surfaces.normals import shading_normal, surface_side
+from .surfaces.normals import mapped_normal, shading_normal, surface_side
 from .surfaces.program import new_registers
 from .surfaces.visibility import evaluate_along
 from .threads import Progress, run_chunks
@@ -235,6 +235,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         flying[lane] = False
                         continue
                     sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+                    sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
                     cos_g = gx * dx + gy * dy + gz * dz
                     behind = cos_g > 0
                     if behind:

@@ -22,7 +22,7 @@ from ..scene import DIFFUSE, GLOSSY
 from ..surfaces import layout
 from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, WIDE, diffuse_albedo, glossy_rise
 from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, sample_lobe, set_lobe
-from ..surfaces.normals import shading_normal, surface_side
+from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import nearest_surface
 from ..threads import run_chunks
@@ -141,6 +141,7 @@ def path_light(
         wr, wg, wb = wr * r, wg * g, wb * b
         x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+        sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
         behind = gx * dx + gy * dy + gz * dz > 0
         if behind:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz

@@ -15,6 +15,19 @@ from ..jit import inlined
 
 F = np.float32
 _SMALLEST = F(1e-20)
+_CELLS = 16
+
+
+def _mean_shadowing(cosine: float) -> float:
+    """What share of even light from above the surface is lost where the normal makes an angle of `cosine` with the surface's own."""
+    sine, tangent2 = math.sqrt(1 - cosine * cosine), (1 - cosine * cosine) / max(cosine * cosine, 1e-12)
+    z, turn = np.meshgrid((np.arange(256) + 0.5) / 256, (np.arange(128) + 0.5) * (math.pi / 128))
+    lit = np.maximum(sine * np.sqrt(1 - z * z) * np.cos(turn) + cosine * z, 0)
+    passed = 2 / (1 + np.sqrt(1 + min(0.125 * tangent2, 1.0) * (1 / (z * z) - 1)))
+    return float(1 - (lit * passed).sum() / lit.sum())
+
+
+_SHADOWING = np.array([_mean_shadowing(k / _CELLS) for k in range(_CELLS + 1)], F)
 
 
 @inlined
@@ -88,3 +101,16 @@ def bumped_normal(nx, ny, nz, dx, dy, dz, strength, mx, my, mz):
     x, y, z = s * x + rest * nx, s * y + rest * ny, s * z + rest * nz
     s = F(1) / max(F(math.sqrt(x * x + y * y + z * z)), _SMALLEST)
     return s * x, s * y, s * z
+
+
+@inlined
+def bump_shadowing(nx, ny, nz, sx, sy, sz):
+    """The share of even light (0..1) that a diffuse surface loses whose unit normal s is turned to n.
+
+    Cycles takes the light from each direction times the GGX shadowing of bumps so steep as n is off s (Conty Estevez, Lecocq and
+    Stein 2019, "A Microfacet-Based Shadowing Function to Solve the Bump Terminator Problem"; bump_shadowing_term); this is the mean.
+    """
+    s = F(1) / max(F(math.sqrt(sx * sx + sy * sy + sz * sz)), _SMALLEST)
+    at = F(_CELLS) * min(abs(s * (nx * sx + ny * sy + nz * sz)), F(1))
+    k = min(int(at), _CELLS - 1)
+    return _SHADOWING[k] + (at - F(k)) * (_SHADOWING[k + 1] - _SHADOWING[k])

@@ -15,9 +15,9 @@ import numpy as np
 
 from ..jit import inlined, kernel, leaf
 from ..scene import CONSTANT, MaterialTables
-from . import closures, footprint, outlined, textures
+from . import bumps, closures, footprint, outlined, textures
 from .colors import luminance
-from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TRANSPARENCY
+from .layout import DIFFUSE, EMISSION, NORMAL, SHADOWING, SURFACE, TRANSPARENCY
 
 F = np.float32
 
@@ -57,7 +57,7 @@ MEAN_VIEW = 2.0
     DIELECTRIC_CLOSURE,  # base colour a, (roughness, ior, specular level) b, tint c, p: multiple scattering
     SHEEN_CLOSURE,  # (weight, roughness) a, tint b; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
-    NORMAL_MAP,  # world-space normal a
+    NORMAL_MAP,  # world-space normal a; p: as for bumps on a surface of normal b, diffuse light is shadowed
     # -- bumps --
     DISPLACED,  # attribute slot p at (u + a.x, v + a.y)
     FOOTPRINT,  # size of a pixel at the world position a (m)
@@ -202,6 +202,7 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
             x, y, z = closures.coat(surface, ax, ay, az, bx, by, bz, dx, dy, dz, cosine)
         elif op == NORMAL_MAP:
             surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2] = ax, ay, az
+            surface[SHADOWING] = bumps.bump_shadowing(ax, ay, az, bx, by, bz) if p != 0 else F(0)
         elif op == DISPLACED:
             x, y, z, w = _attribute(attributes, p, triangle, u + ax, v + ay)
         elif op == FOOTPRINT:
@@ -209,6 +210,9 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
         rows[destination, 0], rows[destination, 1], rows[destination, 2], rows[destination, 3] = x, y, z, w
         at += 1
     closures.finish(surface)
+    if surface[SHADOWING] > F(0) and abs(cosine) > F(1):
+        closures.keep_diffuse(surface, F(1) - surface[SHADOWING])
+        surface[SHADOWING] = F(0)
 
 
 @kernel

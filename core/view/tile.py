@@ -22,7 +22,18 @@ from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import uniform
 from ..scene import CAMERA, NORMAL_MAPPED, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
-from ..surfaces.layout import EMISSION, GLOSSY_F0, GLOSSY_F90, NORMAL, REFRACTION, ROUGHNESS, TRANSPARENCY, diffuse_albedo, largest_kept
+from ..surfaces.layout import (
+    EMISSION,
+    GLOSSY_F0,
+    GLOSSY_F90,
+    NORMAL,
+    REFRACTION,
+    ROUGHNESS,
+    SHADOWING,
+    TRANSPARENCY,
+    diffuse_albedo,
+    largest_kept,
+)
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import evaluate, reflected_view
 from .camera import camera_ray, pixel_sample
@@ -374,9 +385,10 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
                 group[k, :] = _0
             group_of[s] = k
             group[k, MEMBERS] += _1
-            group[k, G_ALBEDO] += ar
-            group[k, G_ALBEDO + 1] += ag
-            group[k, G_ALBEDO + 2] += ab
+            lit = _1 - surface[SHADOWING]
+            group[k, G_ALBEDO] += lit * ar
+            group[k, G_ALBEDO + 1] += lit * ag
+            group[k, G_ALBEDO + 2] += lit * ab
             fr, fg, fb = surface[GLOSSY_F90] * wr, surface[GLOSSY_F90 + 1] * wg, surface[GLOSSY_F90 + 2] * wb
             group[k, G_F0] += surface[GLOSSY_F0] * wr
             group[k, G_F0 + 1] += surface[GLOSSY_F0 + 1] * wg
