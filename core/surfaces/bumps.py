@@ -18,16 +18,16 @@ _SMALLEST = F(1e-20)
 _CELLS = 16
 
 
-def _mean_shadowing(cosine: float) -> float:
-    """What share of even light from above the surface is lost where the normal makes an angle of `cosine` with the surface's own."""
+def _mean(cosine: float) -> float:
+    """What `shadowing` leaves of even light from above the surface, where the normal makes an angle of `cosine` with the surface's own."""
     sine, tangent2 = math.sqrt(1 - cosine * cosine), (1 - cosine * cosine) / max(cosine * cosine, 1e-12)
     z, turn = np.meshgrid((np.arange(256) + 0.5) / 256, (np.arange(128) + 0.5) * (math.pi / 128))
     lit = np.maximum(sine * np.sqrt(1 - z * z) * np.cos(turn) + cosine * z, 0)
     passed = 2 / (1 + np.sqrt(1 + min(0.125 * tangent2, 1.0) * (1 / (z * z) - 1)))
-    return float(1 - (lit * passed).sum() / lit.sum())
+    return float((lit * passed).sum() / lit.sum())
 
 
-_SHADOWING = np.array([_mean_shadowing(k / _CELLS) for k in range(_CELLS + 1)], F)
+_MEAN = np.array([_mean(k / _CELLS) for k in range(_CELLS + 1)], F)
 
 
 @inlined
@@ -104,13 +104,31 @@ def bumped_normal(nx, ny, nz, dx, dy, dz, strength, mx, my, mz):
 
 
 @inlined
-def bump_shadowing(nx, ny, nz, sx, sy, sz):
-    """The share of even light (0..1) that a diffuse surface loses whose unit normal s is turned to n.
-
-    Cycles takes the light from each direction times the GGX shadowing of bumps so steep as n is off s (Conty Estevez, Lecocq and
-    Stein 2019, "A Microfacet-Based Shadowing Function to Solve the Bump Terminator Problem"; bump_shadowing_term); this is the mean.
-    """
+def tilt_of(nx, ny, nz, sx, sy, sz):
+    """|cosine| between a unit normal n and the surface's own s, not 0."""
     s = F(1) / max(F(math.sqrt(sx * sx + sy * sy + sz * sz)), _SMALLEST)
-    at = F(_CELLS) * min(abs(s * (nx * sx + ny * sy + nz * sz)), F(1))
+    return min(max(abs(s * (nx * sx + ny * sy + nz * sz)), F(1e-3)), F(1))
+
+
+@inlined
+def shadowing(tilt, cosine):
+    """What bumps leave of the light that a diffuse surface gets from a direction at `cosine` to its own normal (0..1).
+
+    Cycles' bump_shadowing_term: the GGX shadowing of bumps so steep as `tilt` is (Conty Estevez, Lecocq and Stein 2019, "A
+    Microfacet-Based Shadowing Function to Solve the Bump Terminator Problem").  tilt: of `tilt_of`, 0 for no bumps.
+    """
+    if tilt <= F(0) or tilt >= F(1):
+        return F(1)
+    alpha2 = min(F(0.125) * (F(1) / (tilt * tilt) - F(1)), F(1))
+    c2 = max(cosine * cosine, F(1e-8))
+    return F(2) / (F(1) + F(math.sqrt(F(1) + alpha2 * max(F(1) / c2 - F(1), F(0)))))
+
+
+@inlined
+def mean_shadowing(tilt):
+    """The mean of `shadowing` for even light."""
+    if tilt <= F(0):
+        return F(1)
+    at = F(_CELLS) * tilt
     k = min(int(at), _CELLS - 1)
-    return _SHADOWING[k] + (at - F(k)) * (_SHADOWING[k + 1] - _SHADOWING[k])
+    return _MEAN[k] + (at - F(k)) * (_MEAN[k + 1] - _MEAN[k])

@@ -264,11 +264,4 @@ def finish(surface):
     surface[ROUGHNESS] = surface[ROUGHNESS] / glossy_weight if glossy_weight > F(0) else F(0)
 
 
-@inlined
-def keep_diffuse(surface, share):
-    """Leaves a share of the diffuse albedo."""
-    for k in range(DIFFUSE, LAYER_F0):
-        surface[k] *= share
-
-
 __all__ = ["DIFFUSE", "EMISSION", "TRANSPARENCY", "add", "coat", "dielectric_over_diffuse", "finish", "glass", "glossy", "metal"]

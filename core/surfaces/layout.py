@@ -29,9 +29,7 @@ GLOSSY_F90 = 19  # rgb: at grazing incidence
 ROUGHNESS = 22  # of the glossy lobes, weighted by their albedo
 NORMAL = 23  # xyz: world-space shading normal of a NORMAL_MAPPED material, else zeros
 REFRACTION = 26  # rgb: the part of TRANSPARENCY that passes glass, which is a bounce to Cycles
-SHADOWING = (
-    29  # share of its light that a bumped diffuse surface keeps from the camera's view (see `bumps`); other views have lost it already
-)
+TILT = 29  # |cosine| of NORMAL and the surface's own, by which bumps shadow diffuse light (see `bumps`); 0 for no shadowing
 SURFACE = 30  # length
 
 # Lobes at least as rough spread light about as a diffuse one does.

@@ -17,7 +17,7 @@ from ..jit import inlined, kernel, leaf
 from ..scene import CONSTANT, MaterialTables
 from . import bumps, closures, footprint, outlined, textures
 from .colors import luminance
-from .layout import DIFFUSE, EMISSION, NORMAL, SHADOWING, SURFACE, TRANSPARENCY
+from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TILT, TRANSPARENCY
 
 F = np.float32
 
@@ -202,7 +202,7 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
             x, y, z = closures.coat(surface, ax, ay, az, bx, by, bz, dx, dy, dz, cosine)
         elif op == NORMAL_MAP:
             surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2] = ax, ay, az
-            surface[SHADOWING] = bumps.bump_shadowing(ax, ay, az, bx, by, bz) if p != 0 else F(0)
+            surface[TILT] = bumps.tilt_of(ax, ay, az, bx, by, bz) if p != 0 else F(0)
         elif op == DISPLACED:
             x, y, z, w = _attribute(attributes, p, triangle, u + ax, v + ay)
         elif op == FOOTPRINT:
@@ -210,9 +210,6 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
         rows[destination, 0], rows[destination, 1], rows[destination, 2], rows[destination, 3] = x, y, z, w
         at += 1
     closures.finish(surface)
-    if surface[SHADOWING] > F(0) and abs(cosine) > F(1):
-        closures.keep_diffuse(surface, F(1) - surface[SHADOWING])
-        surface[SHADOWING] = F(0)
 
 
 @kernel

@@ -22,6 +22,7 @@ from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import uniform
 from ..scene import CAMERA, NORMAL_MAPPED, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
+from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import (
     EMISSION,
     GLOSSY_F0,
@@ -29,7 +30,7 @@ from ..surfaces.layout import (
     NORMAL,
     REFRACTION,
     ROUGHNESS,
-    SHADOWING,
+    TILT,
     TRANSPARENCY,
     diffuse_albedo,
     largest_kept,
@@ -57,7 +58,7 @@ GLASS = 3  # kinds of what is emitted: behind no glass, one surface of it, and m
 # Bits of the way that a sample takes at a surface: it shows it, passes straight through, passes through glass.
 SHOWN, STRAIGHT, REFRACTED = 1, 2, 4
 # Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
-PLACE, ERROR, FACING, SHADED = 0, 3, 4, 7
+PLACE, ERROR, FACING, SHADED, TILTED = 0, 3, 4, 7, 10
 MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS = 0, 1, 4, 7, 10
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -109,7 +110,7 @@ def new_tile(samples, light_groups):
     return Tile(
         np.zeros(WIDTH, i), np.zeros(WIDTH, i), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f),
         np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), i), np.empty((WIDTH, GLASS, light_groups, 3), f),
-        np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, 10), f),
+        np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, 11), f),
         np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, 11), f),
         np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f),
     )  # fmt: skip
@@ -365,7 +366,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             out[emitted + 2] += eb
             sample[s, PLACE], sample[s, PLACE + 1], sample[s, PLACE + 2], sample[s, ERROR] = x, y, z, error
             sample[s, FACING], sample[s, FACING + 1], sample[s, FACING + 2] = gx, gy, gz
-            sample[s, SHADED], sample[s, SHADED + 1], sample[s, SHADED + 2] = sx, sy, sz
+            sample[s, SHADED], sample[s, SHADED + 1], sample[s, SHADED + 2], sample[s, TILTED] = sx, sy, sz, surface[TILT]
             if nearest < 0 or depth[pixel, s] < depth[pixel, nearest]:
                 nearest = s
             footprint = pixel_width if camera.orthographic else pixel_width * depth[pixel, s]
@@ -385,7 +386,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
                 group[k, :] = _0
             group_of[s] = k
             group[k, MEMBERS] += _1
-            lit = _1 - surface[SHADOWING]
+            lit = mean_shadowing(surface[TILT])  # direct light puts its own in place of the mean
             group[k, G_ALBEDO] += lit * ar
             group[k, G_ALBEDO + 1] += lit * ag
             group[k, G_ALBEDO + 2] += lit * ab
