@@ -31,7 +31,7 @@ from .reuse import Sequence
 from .reuse.sequence import ray_scene
 from .scene import AREA, POINT, REFRACTIVE, SPOT, Scene, Skipped
 from .settings import RenderSettings
-from .surfaces.footprint import with_viewer
+from .surfaces.program import with_viewer
 from .threads import Cancelled
 from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, reachable_vpls, rooms_seen, without_emitters
 from .transport import Transport, transport

@@ -52,8 +52,11 @@ def _face(ex, ey, ez, fx, fy, fz):
 
 
 @inlined
-def steps(ex, ey, ez, fx, fy, fz, step):
-    """Steps (u, v), (u, v) in barycentric coordinates that go `step` (m) along the tangents; none on a triangle without area."""
+def steps(ex, ey, ez, fx, fy, fz, step, facing):
+    """Steps (u, v), (u, v) in barycentric coordinates that go `step` (m) along the tangents; none on a triangle without area.
+
+    facing: 1 for the front of the triangle; -1 for its back, whose first tangent is the opposite one.
+    """
     mx, my, mz, area = _face(ex, ey, ez, fx, fy, fz)
     if not area > _SMALLEST:
         return F(0), F(0), F(0), F(0)
@@ -62,21 +65,21 @@ def steps(ex, ey, ez, fx, fy, fz, step):
     ux, uy, uz = s * (fy * mz - fz * my), s * (fz * mx - fx * mz), s * (fx * my - fy * mx)
     vx, vy, vz = s * (my * ez - mz * ey), s * (mz * ex - mx * ez), s * (mx * ey - my * ex)
     return (
-        tx * ux + ty * uy + tz * uz,
-        tx * vx + ty * vy + tz * vz,
+        facing * (tx * ux + ty * uy + tz * uz),
+        facing * (tx * vx + ty * vy + tz * vz),
         bx * ux + by * uy + bz * uz,
         bx * vx + by * vy + bz * vz,
     )
 
 
 @inlined
-def gradient(ex, ey, ez, fx, fy, fz, rise_x, rise_y, step):
+def gradient(ex, ey, ez, fx, fy, fz, rise_x, rise_y, step, facing):
     """The gradient, in the triangle's plane, of what rises so much over `step` (m) along the tangents."""
     mx, my, mz, area = _face(ex, ey, ez, fx, fy, fz)
     if not area > _SMALLEST or not step > _SMALLEST:
         return F(0), F(0), F(0)
     tx, ty, tz, bx, by, bz = _tangents(mx, my, mz)
-    dx, dy = rise_x / step, rise_y / step
+    dx, dy = facing * rise_x / step, rise_y / step
     return dx * tx + dy * bx, dx * ty + dy * by, dx * tz + dy * bz
 
 

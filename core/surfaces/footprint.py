@@ -39,11 +39,3 @@ def viewer_row(scene: Scene) -> np.ndarray:
     left, right, bottom, top = camera.window
     size = 0.5 * ((right - left) / camera.width + (top - bottom) / camera.height)
     return np.array([*(camera.matrix[:3, 3] + scene.origin), -size if camera.orthographic else size], F)
-
-
-def with_viewer(scene: Scene):
-    """The scene's material tables, which know where its viewer is."""
-    tables = scene.materials.tables
-    constants = tables.constants.copy()
-    constants[0] = viewer_row(scene)
-    return tables._replace(constants=constants)

@@ -34,8 +34,8 @@ FIRST = 64
     CURVES,  # x, y, z of that table at a.x, a.y, a.z
     PROJECT,  # image coordinates of the direction a - 1/2: p 0 sphere, 1 tube
     # -- bumps (see `bumps`) --
-    BUMP_STEP,  # steps (u, v) of length c.x (m) along the first tangent in x, y, along the second in z, w; a, b: edges of the triangle
-    BUMP_GRADIENT,  # of a height that rises by c.x and c.y over steps of length c.z along these tangents; a, b: edges of the triangle
+    BUMP_STEP,  # steps (u, v) of length c.x (m) along the first tangent in x, y, along the second in z, w; a, b: edges of the triangle, c.y: its side
+    BUMP_GRADIENT,  # of a height that rises by c.x and c.y over steps of length c.z along these tangents; a, b: edges of the triangle, c.w: its side
     BUMP_NORMAL,  # normal a, bumped by the gradient b of the height over a face of normal c; strength in b.w
 ) = range(FIRST, FIRST + 13)
 # -- procedural patterns --
@@ -81,9 +81,9 @@ def _arithmetic(op, p, pa, pb, pc, result):
     elif op == PROJECT:
         x, y = textures.to_sphere(a[0], a[1], a[2]) if p == 0 else textures.to_tube(a[0], a[1], a[2])
     elif op == BUMP_STEP:
-        x, y, z, w = bumps.steps(a[0], a[1], a[2], b[0], b[1], b[2], c[0])
+        x, y, z, w = bumps.steps(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1])
     elif op == BUMP_GRADIENT:
-        x, y, z = bumps.gradient(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+        x, y, z = bumps.gradient(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2], c[3])
     elif op == BUMP_NORMAL:
         x, y, z = bumps.bumped_normal(a[0], a[1], a[2], b[0], b[1], b[2], b[3], c[0], c[1], c[2])
     else:

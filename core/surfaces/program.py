@@ -2,8 +2,8 @@
 
 A program is a straight list of instructions over rows of four floats.  An instruction is eight integers
 (operation, destination row, operand rows a b c d e, parameter p).  Rows 0..REGISTERS-1 are registers,
-the rows after them are the constants of all materials, the first of which says where the viewer is (see
-`footprint`).  A scalar fills x, y and z of its row, so that it
+the rows after them are the constants of all materials, the first of which says
+where the viewer is to programs with FOOTPRINT (see `footprint`).  A scalar fills x, y and z of its row, so that it
 reads as a grey colour or vector as it is.  Operations on closures add to the surface (see `layout`).
 The rarer operations are in `outlined` and are called by address, so that kernels which evaluate
 materials stay small and compile fast.
@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from ..scene import CONSTANT, MaterialTables
+from ..scene import CONSTANT, MaterialTables, Scene
 from . import bumps, closures, footprint, outlined, textures
 from .colors import luminance
 from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TILT, TRANSPARENCY
@@ -225,6 +225,16 @@ def evaluate_range(tables, materials, attributes, triangle, u, v, cosine, begin,
             evaluate(tables, materials[triangle[i]], attributes, triangle[i], u[i], v[i], cosine[i], rows, surface)
             for k in range(SURFACE):
                 surfaces[i, k] = surface[k]
+
+
+def with_viewer(scene: Scene) -> MaterialTables:
+    """The scene's material tables; where a program asks for the size of a pixel, they know where its viewer is."""
+    tables = scene.materials.tables
+    if not (tables.code[:, 0] == FOOTPRINT).any():
+        return tables
+    constants = tables.constants.copy()
+    constants[0] = footprint.viewer_row(scene)
+    return tables._replace(constants=constants)
 
 
 def empty_tables() -> MaterialTables:

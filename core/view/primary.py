@@ -20,9 +20,8 @@ from ..lamps.groups import LightGroups
 from ..rays.packet import WIDTH, new_packet
 from ..sampling.hashing import uniform
 from ..scene import CAMERA, Scene
-from ..surfaces.footprint import with_viewer
 from ..surfaces.layout import SURFACE
-from ..surfaces.program import new_registers
+from ..surfaces.program import new_registers, with_viewer
 from ..threads import Progress, run_chunks
 from .camera import camera_tables
 from .lamps import lamps_in_tile, visible_lamps

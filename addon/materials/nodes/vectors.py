@@ -179,7 +179,7 @@ def bump(node: NodeInput, output: str) -> Value:
         largest = node.vector("ABSOLUTE", position)
         largest = node.math("MAXIMUM", node.splat(largest, 0), node.math("MAXIMUM", node.splat(largest, 1), node.splat(largest, 2)))
         step = node.math("MAXIMUM", step, node.math("MULTIPLY", largest, scalar(_SHORTEST)))
-        steps = node.emit(outlined.BUMP_STEP, *edges, step)
+        steps = node.emit(outlined.BUMP_STEP, *edges, node.pack(step, facing))
         try:
             height = node["Height"]
         except Unsupported as reason:
@@ -189,7 +189,7 @@ def bump(node: NodeInput, output: str) -> Value:
     for u, v in ((0, 1), (2, 3)):
         with program.displaced(node.pack(node.splat(steps, u), node.splat(steps, v))):
             rises.append(node.math("SUBTRACT", node["Height"], height))
-    gradient = node.emit(outlined.BUMP_GRADIENT, *edges, node.pack(*rises, step))
+    gradient = node.emit(outlined.BUMP_GRADIENT, *edges, node.pack(*rises, step, facing))
     gradient = node.multiply(gradient, node.math("MULTIPLY", distance, facing))
     gradient = node.pack(node.splat(gradient, 0), node.splat(gradient, 1), node.splat(gradient, 2), strength)
     return node.emit(outlined.BUMP_NORMAL, surface, gradient, node.vector("CROSS_PRODUCT", *edges))
