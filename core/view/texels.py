@@ -28,7 +28,7 @@ from ..threads import Progress, run_chunks
 from ..transport import Transport
 from .camera import pixel_sample
 from .points import ShadingPoints
-from .primary import SAME_NORMAL
+from .tile import SAME_NORMAL
 
 ROWS = 16  # of texels a chunk
 MOST_SAMPLES = WIDTH  # a texel: they are traced as one packet
