@@ -9,7 +9,9 @@ import pytest
 from lumigate.core import scene as sc
 from lumigate.core.jit import kernel
 from lumigate.core.lamps import direct_light
-from lumigate.core.surfaces import bumps, footprint
+from lumigate.core.methods.tails import tail_light
+from lumigate.core.particles import trace_particles
+from lumigate.core.surfaces import bumps, footprint, layout
 from lumigate.core.surfaces import program as ops
 
 from .test_glossy import Set, lamp, points_at
@@ -108,6 +110,34 @@ def test_direct_light_is_shadowed_by_its_own_direction():
     bumped = direct_light(sun.tables, points, 4, 1, lobes=False)[0].irradiance * _shadowing(F(math.cos(turn)), F(1))[1]
     assert plain.min() > 0
     np.testing.assert_allclose(bumped / plain, 0.7906, atol=1e-3)
+
+
+def _floor(normal):
+    """A wide floor under a sun 50 degrees off its normal, of a material with this shading normal, or None for its own."""
+    slant = math.radians(50)
+    quad = [(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)]
+    made = Set(lamp(sc.SUN, math.pi, towards=(-math.sin(slant), 0, -math.cos(slant)), angle=0.0), quad=(quad,))
+    if normal is not None:
+        made.tables.materials.constant[0, layout.NORMAL : layout.NORMAL + 3] = normal
+        made.tables.materials.constant[0, layout.TILT] = normal[2]
+        made.tables.materials.flags[0] |= sc.NORMAL_MAPPED
+    return made
+
+
+def test_light_that_is_reflected_on_meets_the_bumped_normal():
+    """Of particles, and of paths that look down at the floor: by the cosine with the bumped normal, and its shadowing."""
+    turn, slant = math.radians(-25), math.radians(50)
+    plain, bumped = _floor(None), _floor((math.sin(turn), 0, math.cos(turn)))
+    lost = math.cos(slant - turn) / math.cos(slant) * _shadowing(F(math.cos(turn)), F(math.cos(slant)))[0]
+    assert lost < 0.45
+    points = points_at(64, 1.0, albedo=0.5, f0=0.0, f90=0.0, position=(0, 0, 1))
+    points.ng[:] = points.ns[:] = points.wo[:] = 0, 0, -1
+    for light in (
+        lambda made: trace_particles(made.tables, 64, 1, seed=3, threads=1)[0].flux.sum(),
+        lambda made: tail_light(made.tables, points, 2, 3, 1).sum(),
+    ):
+        assert light(plain) > 0
+        assert light(bumped) == pytest.approx(lost * light(plain), rel=2e-3)
 
 
 def _scene(camera, tables=None):
