@@ -33,11 +33,13 @@ from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
 from .scene import DIFFUSE, GLOSSY_LOBE, SHADOW, TRANSPARENT
+from .surfaces.bumps import shadowing
 from .surfaces.layout import (
     GLOSSY_F0,
     GLOSSY_F90,
     ROUGHNESS,
     SURFACE,
+    TILT,
     TRANSPARENCY,
     WIDE,
     diffuse_albedo_average,
@@ -45,7 +47,7 @@ from .surfaces.layout import (
     passing_chance,
 )
 from .surfaces.lobes import ALPHA, LOBE, NORMAL, VIEWER, sample_lobe, set_lobe
-from .surfaces.normals import shading_normal, surface_side
+from .surfaces.normals import mapped_normal, shading_normal, surface_side
 from .surfaces.program import new_registers
 from .surfaces.visibility import evaluate_along
 from .threads import Progress, run_chunks
@@ -267,6 +269,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         flying[lane] = False
                         continue
                     sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+                    sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
                     cos_g = gx * dx + gy * dy + gz * dz
                     behind = cos_g > 0
                     if behind:
@@ -303,7 +306,8 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     else:
                         lx, ly, lz = cosine_hemisphere(u1, u2)
                         wx, wy, wz = to_world(lx, ly, lz, gx, gy, gz)
-                        r, g, b = dr / (_1 - chance), dg / (_1 - chance), db / (_1 - chance)
+                        left = shadowing(surface[TILT], -cos_g) / (_1 - chance)
+                        r, g, b = left * dr, left * dg, left * db
                     r, g, b = flux[lane, 0] * adjoint * r, flux[lane, 1] * adjoint * g, flux[lane, 2] * adjoint * b
                     if not max(r, g, b) > 0:
                         flying[lane] = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from ...core.surfaces import outlined
 from ...core.surfaces import program as ops
 from ...core.surfaces.layout import SURFACE
-from .requests import AttributeRequest
+from .requests import DISPLACED, AttributeRequest
 
 _CLOSURES = frozenset(
     {
@@ -27,7 +28,9 @@ _CLOSURES = frozenset(
     }
 )
 # What depends on the point or the view, and is therefore never folded.
-_VARYING = frozenset({ops.ATTRIBUTE, ops.TEXTURE, ops.TEXTURE_BOX, ops.FRESNEL, ops.FACING, ops.BACKFACING, ops.VIEWED})
+_VARYING = frozenset(
+    {ops.ATTRIBUTE, ops.DISPLACED, ops.FOOTPRINT, ops.TEXTURE, ops.TEXTURE_BOX, ops.FRESNEL, ops.FACING, ops.BACKFACING, ops.VIEWED}
+)
 _VIEW_DEPENDENT = frozenset({ops.FRESNEL, ops.FACING, ops.BACKFACING, ops.VIEWED, ops.GLASS_CLOSURE, ops.COAT_CLOSURE, ops.SHEEN_CLOSURE})
 
 
@@ -80,6 +83,7 @@ class Program:
 
     instructions: list[tuple[int, tuple, int]] = field(default_factory=list)
     requests: list[AttributeRequest] = field(default_factory=list)
+    step: Value | None = None
     _known: dict = field(default_factory=dict)
 
     def attribute(self, kind: str, name: str = "") -> Value:
@@ -87,7 +91,19 @@ class Program:
         request = AttributeRequest(kind, name)
         if request not in self.requests:
             self.requests.append(request)
-        return self.emit(ops.ATTRIBUTE, p=self.requests.index(request))
+        slot = self.requests.index(request)
+        if self.step is not None and kind in DISPLACED:
+            return self.emit(ops.DISPLACED, self.step, p=slot)
+        return self.emit(ops.ATTRIBUTE, p=slot)
+
+    @contextmanager
+    def displaced(self, step: Value | None):
+        """Within it, attributes are those at a point beside the surface's: (u, v) + `step` in barycentric coordinates."""
+        before, self.step = self.step, step
+        try:
+            yield
+        finally:
+            self.step = before
 
     def emit(self, op: int, *operands: Value | Table, p: int = 0) -> Value:
         """Adds an instruction; one that was there already is used again, one of constants is computed now."""

@@ -35,6 +35,9 @@ OBJECT_RANDOM = "object_random"  # (r, r, r), `random_id` of the instance / 2**3
 OBJECT_ATTRIBUTE = "object_attribute"  # custom property `name` of the object, else of its data, as Attribute node of type Object
 BAKED = "baked"  # UV of the bake `name`: CompiledMaterials.baked_uvs[name][object name], (triangles of the mesh, 3, 2)
 
+# What differs at the points that a bump's height is read at: as in Cycles all but normals, tangents and what objects have.
+DISPLACED = frozenset({UV, COLOR, ATTRIBUTE, GENERATED, OBJECT, WORLD_POSITION, BAKED})
+
 
 @dataclass(frozen=True)
 class AttributeRequest:

@@ -96,7 +96,7 @@ class Scope:
     def output(self, socket: bpy.types.NodeSocket) -> Value:
         """Value of an output socket; each is computed once."""
         node = socket.node
-        key = (self.path, node.name, socket.identifier)
+        key = (self.path, node.name, socket.identifier, self.context.program.step)
         memory = self.context.memory
         if key not in memory:
             function = registry.VALUES.get(node.bl_idname)

@@ -25,6 +25,7 @@ from ..rays.trace import OPAQUE, occluded1, occluded_packet
 from ..sampling.hashing import hash_combine, to_unit, uniform
 from ..sampling.sequences import sobol
 from ..scene import SHADOW, SUN
+from ..surfaces.bumps import mean_shadowing, shadowing
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count, set_lobe
 from ..surfaces.program import new_registers
@@ -65,6 +66,7 @@ class Receivers(NamedTuple):
     roughness: np.ndarray
     albedo: np.ndarray
     spread: np.ndarray
+    tilt: np.ndarray
 
 
 @inlined
@@ -194,7 +196,7 @@ def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end):
 
 @leaf
 def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
-    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine and the emitter of its light (-1: none); the mean is exact.
+    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine and the emitter of its light (-1: none), and its cosine with g; the mean is exact.
 
     For the tails of paths: random numbers are hashed from (seed, path, dimension, 0..3).
     scene: Transport.  packet, rows, surface: scratch.  g, s: geometric and shading normal, on the lit side.
@@ -215,7 +217,7 @@ def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, s
                 u = (u - p) / (_1 - p)
             u = min(u, np.float32(0.99999994))
     if chosen < 0:
-        return _0, _0, _0, _0, -1
+        return _0, _0, _0, _0, -1, _0
     e, probability = emitters.groups[chosen], _1
     if e < 0:
         tree = emitters.tree
@@ -223,25 +225,26 @@ def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, s
             tree.nodes, tree.two_sided, tree.children, tree.root, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 1)
         )
         if e < 0:
-            return _0, _0, _0, _0, -1
+            return _0, _0, _0, _0, -1, _0
     dx, dy, dz, t, r, g, b, u, v = sample_emitter(
         emitters, e, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 2), uniform(seed, path, dimension, 3), rows, surface
     )
     cosine = sx * dx + sy * dy + sz * dz
     if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
-        return _0, _0, _0, _0, -1
+        return _0, _0, _0, _0, -1, _0
+    across = gx * dx + gy * dy + gz * dz
     w = cosine * total / (chosen_estimate * probability)
     if emitters.flags[e] & CASTS_SHADOW:
         ox, oy, oz, dx, dy, dz, end = shadow_ray(scene, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t)
         tr, tg, tb = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end)
         r, g, b = r * tr, g * tg, b * tb
-    return w * r, w * g, w * b, cosine, e
+    return w * r, w * g, w * b, cosine, e, across
 
 
 @leaf
 def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
     """The irradiance of `direct_sample_at`."""
-    r, g, b, _, _ = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension)
+    r, g, b, _, _, _ = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension)
     return r, g, b
 
 
@@ -363,6 +366,8 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
         return n
     light, glossy, ray = rays.light[n], rays.glossy[n], rays.ray[n]
     r, g, b = w * r, w * g, w * b
+    if points.tilt[i] > _0:  # in place of the mean, which is in the albedo
+        cosine *= shadowing(points.tilt[i], gx * dx + gy * dy + gz * dz) / mean_shadowing(points.tilt[i])
     light[0], light[1], light[2] = cosine * r, cosine * g, cosine * b
     if block.lobe[k, ALPHA] > _0:
         fr, fg, fb = _lobe_share(emitters, e, block.lobe[k], block.drawn[k], block.expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
@@ -602,7 +607,7 @@ def direct_light(
         first: number of the pass; passes of one seed and sample count go on in the same sequences.
         reflections: most rays drawn from a point's lobe; where above 0, the light that they find is theirs to add
             (`methods.glossy.reflect`, called with the same numbers).
-        lobes: whether the points' lobes matter at all; without, they need the arrays position, ns, ng and error only.
+        lobes: whether the points' lobes matter at all; without, they need the arrays position, ns, ng and error only (and may have spread and tilt).
 
     Returns:
         (DirectLight, number of rays traced).
@@ -611,8 +616,11 @@ def direct_light(
         receivers = Receivers(*(getattr(points, name) for name in Receivers._fields))
     else:
         none = np.zeros((0, 3), np.float32)
+        tilt = getattr(points, "tilt", np.zeros(len(points.position), np.float32))
         spread = getattr(points, "spread", np.zeros((len(points.position), 0, 3), np.float32))
-        receivers = Receivers(points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none, spread)
+        receivers = Receivers(
+            points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none, spread, tilt
+        )
     n, columns = len(points.position), 3 * scene.emitters.light_groups
     # Side by side: light that met no glass, light that passed it.
     out = np.zeros((n, 2 * columns), np.float32)

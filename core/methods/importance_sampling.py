@@ -47,7 +47,7 @@ from ..sampling.sequences import r2
 from ..scene import DIFFUSE, TRANSPARENT
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
-from ..surfaces.normals import shading_normal, surface_side
+from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..surfaces.visibility import nearest_surface, transmittance1
 from ..threads import Progress, part, run_chunks
@@ -235,6 +235,7 @@ def _gathered(
             own, sheen = (_1 - share) / rest, (_1 - cache.trust[cell] * clamped) / rest
         evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+        sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
         if sx * gx + sy * gy + sz * gz < 0:
             sx, sy, sz = -sx, -sy, -sz
         path_light(

@@ -19,7 +19,7 @@ from ..sampling.sequences import r2
 from ..scene import DIFFUSE, TRANSPARENT
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import LOBE
-from ..surfaces.normals import shading_normal
+from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..surfaces.visibility import nearest_surface, shadow_packet
 from ..threads import Progress, run_chunks
@@ -169,6 +169,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                     )
                 x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
                 sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+                sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
                 cos_y = -(gx * dx + gy * dy + gz * dz)
                 if cos_y < 0:
                     gx, gy, gz, sx, sy, sz, cos_y = -gx, -gy, -gz, -sx, -sy, -sz, -cos_y

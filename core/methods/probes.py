@@ -15,7 +15,7 @@ from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import LOBE
-from ..surfaces.normals import shading_normal, surface_side
+from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import nearest_surface
 from ..threads import Progress, run_chunks
@@ -61,6 +61,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
             return rays
         x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+        sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
         behind = gx * dx + gy * dy + gz * dz > 0
         side = surface_side(scene.material[triangle], behind)
         if behind:

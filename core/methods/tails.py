@@ -20,9 +20,10 @@ from ..sampling.hashing import uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE, GLOSSY
 from ..surfaces import layout
-from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, WIDE, diffuse_albedo, glossy_rise
+from ..surfaces.bumps import shadowing
+from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TILT, WIDE, diffuse_albedo, glossy_rise
 from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, sample_lobe, set_lobe
-from ..surfaces.normals import shading_normal, surface_side
+from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import nearest_surface
 from ..threads import run_chunks
@@ -56,19 +57,22 @@ def scatter_light(
     """
     cosine = min(_1, abs(sx * wx + sy * wy + sz * wz))
     dr, dg, db = diffuse_albedo(surface, cosine)
-    roughness = surface[ROUGHNESS]
+    roughness, tilt = surface[ROUGHNESS], surface[TILT]
     f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
     f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]
     share = _1 / np.float32(lamp_rays)
     for k in range(lamp_rays):
-        r, g, b, cosine, e = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, at + 20 + k)
+        r, g, b, cosine, e, across = direct_sample_at(
+            scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, at + 20 + k
+        )
         if e < 0:
             continue
         rise = glossy_rise(cosine, roughness)
         c = 3 * scene.emitters.light_group[e]
         r, g, b = kr * share * r, kg * share * g, kb * share * b
         fr, fg, fb = r * (f0r + rise * (f90r - f0r)), g * (f0g + rise * (f90g - f0g)), b * (f0b + rise * (f90b - f0b))
-        r, g, b = r * dr, g * dg, b * db
+        lit = shadowing(tilt, across)
+        r, g, b = lit * r * dr, lit * g * dg, lit * b * db
         if roughness < WIDE:
             shine[i, c] += sheen * fr
             shine[i, c + 1] += sheen * fg
@@ -91,7 +95,8 @@ def scatter_light(
     else:
         lx, ly, lz = cosine_hemisphere(u1, u2)
         dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
-        r, g, b = dr, dg, db
+        lit = shadowing(tilt, gx * dx + gy * dy + gz * dz)
+        r, g, b = lit * dr, lit * dg, lit * db
         chance = _1 - chance
         kinds = DIFFUSE
     if not max(r, g, b) > _0 or gx * dx + gy * dy + gz * dz <= _0:
@@ -141,6 +146,7 @@ def path_light(
         wr, wg, wb = wr * r, wg * g, wb * b
         x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+        sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
         behind = gx * dx + gy * dy + gz * dz > 0
         if behind:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz

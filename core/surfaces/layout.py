@@ -29,7 +29,8 @@ GLOSSY_F90 = 19  # rgb: at grazing incidence
 ROUGHNESS = 22  # of the glossy lobes, weighted by their albedo
 NORMAL = 23  # xyz: world-space shading normal of a NORMAL_MAPPED material, else zeros
 REFRACTION = 26  # rgb: the part of TRANSPARENCY that passes glass, which is a bounce to Cycles
-SURFACE = 29  # length
+TILT = 29  # |cosine| of NORMAL and the surface's own, by which bumps shadow diffuse light (see `bumps`); 0 for no shadowing
+SURFACE = 30  # length
 
 # Lobes at least as rough spread light about as a diffuse one does.
 WIDE = F(0.5)

@@ -7,6 +7,8 @@ import math
 import numpy as np
 
 from ..jit import inlined
+from ..scene import NORMAL_MAPPED
+from .layout import NORMAL
 
 
 @inlined
@@ -21,6 +23,14 @@ def shading_normal(corner_normals, triangle, u, v, gx, gy, gz):
         return gx, gy, gz
     s = np.float32(1.0) / np.float32(math.sqrt(length2))
     return x * s, y * s, z * s
+
+
+@inlined
+def mapped_normal(materials, material, surface, sx, sy, sz):
+    """The normal that the evaluated material gives the surface, on the front of the triangle; s where it gives none."""
+    if materials.flags[material] & NORMAL_MAPPED:
+        return surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
+    return sx, sy, sz
 
 
 @inlined

@@ -16,7 +16,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from ..jit import c_function, inlined
-from . import arithmetic, colors, noise, procedural, textures
+from . import arithmetic, bumps, colors, noise, procedural, textures
 
 F = np.float32
 
@@ -33,7 +33,11 @@ FIRST = 64
     RAMP,  # table of rows from b at a.x; p = 4 size + 2 extrapolate + interpolate
     CURVES,  # x, y, z of that table at a.x, a.y, a.z
     PROJECT,  # image coordinates of the direction a - 1/2: p 0 sphere, 1 tube
-) = range(FIRST, FIRST + 10)
+    # -- bumps (see `bumps`) --
+    BUMP_STEP,  # steps (u, v) of length c.x (m) along the first tangent in x, y, along the second in z, w; a, b: edges of the triangle, c.y: its side
+    BUMP_GRADIENT,  # of a height that rises by c.x and c.y over steps of length c.z along these tangents; a, b: edges of the triangle, c.w: its side
+    BUMP_NORMAL,  # normal a, bumped by the gradient b of the height over a face of normal c; strength in b.w
+) = range(FIRST, FIRST + 13)
 # -- procedural patterns --
 FIRST_PATTERN = 96
 (
@@ -76,6 +80,12 @@ def _arithmetic(op, p, pa, pb, pc, result):
         x, y, z = colors.gamma(a[0], b[0]), colors.gamma(a[1], b[0]), colors.gamma(a[2], b[0])
     elif op == PROJECT:
         x, y = textures.to_sphere(a[0], a[1], a[2]) if p == 0 else textures.to_tube(a[0], a[1], a[2])
+    elif op == BUMP_STEP:
+        x, y, z, w = bumps.steps(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1])
+    elif op == BUMP_GRADIENT:
+        x, y, z = bumps.gradient(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2], c[3])
+    elif op == BUMP_NORMAL:
+        x, y, z = bumps.bumped_normal(a[0], a[1], a[2], b[0], b[1], b[2], b[3], c[0], c[1], c[2])
     else:
         size, extrapolate, interpolate = p >> 2, (p & 2) != 0, (p & 1) != 0
         table = numba.carray(pb, (size, 4))

@@ -2,7 +2,8 @@
 
 A program is a straight list of instructions over rows of four floats.  An instruction is eight integers
 (operation, destination row, operand rows a b c d e, parameter p).  Rows 0..REGISTERS-1 are registers,
-the rows after them are the constants of all materials.  A scalar fills x, y and z of its row, so that it
+the rows after them are the constants of all materials, the first of which says
+where the viewer is to programs with FOOTPRINT (see `footprint`).  A scalar fills x, y and z of its row, so that it
 reads as a grey colour or vector as it is.  Operations on closures add to the surface (see `layout`).
 The rarer operations are in `outlined` and are called by address, so that kernels which evaluate
 materials stay small and compile fast.
@@ -13,10 +14,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from ..scene import CONSTANT, MaterialTables
-from . import closures, outlined, textures
+from ..scene import CONSTANT, MaterialTables, Scene
+from . import bumps, closures, footprint, outlined, textures
 from .colors import luminance
-from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TRANSPARENCY
+from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TILT, TRANSPARENCY
 
 F = np.float32
 
@@ -56,8 +57,11 @@ MEAN_VIEW = 2.0
     DIELECTRIC_CLOSURE,  # base colour a, (roughness, ior, specular level) b, tint c, p: multiple scattering
     SHEEN_CLOSURE,  # (weight, roughness) a, tint b; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
-    NORMAL_MAP,  # world-space normal a
-) = range(27)
+    NORMAL_MAP,  # world-space normal a; p: as for bumps on a surface of normal b, diffuse light is shadowed
+    # -- bumps --
+    DISPLACED,  # attribute slot p at (u + a.x, v + a.y)
+    FOOTPRINT,  # size of a pixel at the world position a (m)
+) = range(29)
 
 
 @kernel
@@ -81,6 +85,18 @@ def _box(tables, texture, x, y, z, nx, ny, nz, mix):
             tr, tg, tb, ta = textures.sample(tables.texture_header, tables.texels_u8, tables.texels_f32, texture, u, v)
             r, g, b, a = r + weight * tr, g + weight * tg, b + weight * tb, a + weight * ta
     return r, g, b, a
+
+
+@leaf
+def _attribute(attributes, slot, triangle, u, v):
+    w = F(1) - u - v
+    a = attributes[slot, triangle]
+    return (
+        w * a[0, 0] + u * a[1, 0] + v * a[2, 0],
+        w * a[0, 1] + u * a[1, 1] + v * a[2, 1],
+        w * a[0, 2] + u * a[1, 2] + v * a[2, 2],
+        w * a[0, 3] + u * a[1, 3] + v * a[2, 3],
+    )
 
 
 @inlined
@@ -186,6 +202,11 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
             x, y, z = closures.coat(surface, ax, ay, az, bx, by, bz, dx, dy, dz, cosine)
         elif op == NORMAL_MAP:
             surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2] = ax, ay, az
+            surface[TILT] = bumps.tilt_of(ax, ay, az, bx, by, bz) if p != 0 else F(0)
+        elif op == DISPLACED:
+            x, y, z, w = _attribute(attributes, p, triangle, u + ax, v + ay)
+        elif op == FOOTPRINT:
+            x = y = z = footprint.pixel_size(rows[REGISTERS, 0], rows[REGISTERS, 1], rows[REGISTERS, 2], rows[REGISTERS, 3], ax, ay, az)
         rows[destination, 0], rows[destination, 1], rows[destination, 2], rows[destination, 3] = x, y, z, w
         at += 1
     closures.finish(surface)
@@ -204,6 +225,16 @@ def evaluate_range(tables, materials, attributes, triangle, u, v, cosine, begin,
             evaluate(tables, materials[triangle[i]], attributes, triangle[i], u[i], v[i], cosine[i], rows, surface)
             for k in range(SURFACE):
                 surfaces[i, k] = surface[k]
+
+
+def with_viewer(scene: Scene) -> MaterialTables:
+    """The scene's material tables; where a program asks for the size of a pixel, they know where its viewer is."""
+    tables = scene.materials.tables
+    if not (tables.code[:, 0] == FOOTPRINT).any():
+        return tables
+    constants = tables.constants.copy()
+    constants[0] = footprint.viewer_row(scene)
+    return tables._replace(constants=constants)
 
 
 def empty_tables() -> MaterialTables:

@@ -21,7 +21,7 @@ from ..rays.packet import WIDTH, new_packet
 from ..sampling.hashing import uniform
 from ..scene import CAMERA, Scene
 from ..surfaces.layout import SURFACE
-from ..surfaces.program import new_registers
+from ..surfaces.program import new_registers, with_viewer
 from ..threads import Progress, run_chunks
 from .camera import camera_tables
 from .lamps import lamps_in_tile, visible_lamps
@@ -46,6 +46,7 @@ from .tile import (
     POSITION,
     SHADED,
     TILE,
+    TILTED,
     WORLD_DEPTH,
     add_rows,
     clear_tile,
@@ -252,6 +253,7 @@ def _view_tiles(
                 points.triangle[i] = triangles[lane, best, 0]
                 points.roughness[i] = group[k, G_ROUGHNESS] / group[k, MEMBERS]
                 points.behind_glass[i] = tile.glass[lane, best] > 0
+                points.tilt[i] = sample[best, TILTED]
     return n_points, n_rays
 
 
@@ -280,7 +282,7 @@ def view(
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * WIDTH * (1 + PANES) * most)
         n, n_rays = _view_tiles(
-            rays, camera, offsets, scene.materials.tables, geometry, lamps, world, seen_by, groups.world,
+            rays, camera, offsets, with_viewer(scene), geometry, lamps, world, seen_by, groups.world,
             begin, end, least, most, np.uint32(seed), room, layers,
         )  # fmt: skip
         return room.first(n), n_rays

@@ -20,14 +20,15 @@ from ..sampling.hashing import hash_combine
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..sampling.sequences import r2
 from ..scene import DIFFUSE, NORMAL_MAPPED
-from ..surfaces.layout import EMISSION, NORMAL, SURFACE, diffuse_albedo_average
+from ..surfaces.bumps import mean_shadowing
+from ..surfaces.layout import EMISSION, NORMAL, SURFACE, TILT, diffuse_albedo_average
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from .camera import pixel_sample
 from .points import ShadingPoints
-from .primary import SAME_NORMAL
+from .tile import SAME_NORMAL
 
 ROWS = 16  # of texels a chunk
 MOST_SAMPLES = WIDTH  # a texel: they are traced as one packet
@@ -280,6 +281,8 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
                 sx, sy, sz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
             if sx * gx + sy * gy + sz * gz < 0:
                 sx, sy, sz = -sx, -sy, -sz
+            tilt = surface[TILT] if mapped else _0
+            lit = mean_shadowing(tilt)
             if materials:
                 r, g, b = diffuse_albedo_average(surface)
                 out[ALBEDO] += share * r
@@ -291,13 +294,13 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
                 out[POSITION + c] += share * at.position[s, c]
                 points.position[n_points, c] = at.position[s, c]
                 points.ng[n_points, c] = points.wo[n_points, c] = at.ng[s, c]
-                points.albedo[n_points, c] = share
+                points.albedo[n_points, c] = lit * share
                 points.f0[n_points, c] = points.f90[n_points, c] = _0
             out[NORMALS] += share * sx
             out[NORMALS + 1] += share * sy
             out[NORMALS + 2] += share * sz
             points.ns[n_points, 0], points.ns[n_points, 1], points.ns[n_points, 2] = sx, sy, sz
-            points.error[n_points], points.roughness[n_points] = at.error[s], _1
+            points.error[n_points], points.roughness[n_points], points.tilt[n_points] = at.error[s], _1, tilt
             points.pixel[n_points], points.triangle[n_points] = texel, triangle
             n_points += 1
     return n_points, rays

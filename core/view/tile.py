@@ -22,7 +22,19 @@ from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import uniform
 from ..scene import CAMERA, NORMAL_MAPPED, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
-from ..surfaces.layout import EMISSION, GLOSSY_F0, GLOSSY_F90, NORMAL, REFRACTION, ROUGHNESS, TRANSPARENCY, diffuse_albedo, largest_kept
+from ..surfaces.bumps import mean_shadowing
+from ..surfaces.layout import (
+    EMISSION,
+    GLOSSY_F0,
+    GLOSSY_F90,
+    NORMAL,
+    REFRACTION,
+    ROUGHNESS,
+    TILT,
+    TRANSPARENCY,
+    diffuse_albedo,
+    largest_kept,
+)
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import evaluate, reflected_view
 from .camera import camera_ray, pixel_sample
@@ -46,7 +58,7 @@ GLASS = 3  # kinds of what is emitted: behind no glass, one surface of it, and m
 # Bits of the way that a sample takes at a surface: it shows it, passes straight through, passes through glass.
 SHOWN, STRAIGHT, REFRACTED = 1, 2, 4
 # Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
-PLACE, ERROR, FACING, SHADED = 0, 3, 4, 7
+PLACE, ERROR, FACING, SHADED, TILTED = 0, 3, 4, 7, 10
 MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS = 0, 1, 4, 7, 10
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -98,7 +110,7 @@ def new_tile(samples, light_groups):
     return Tile(
         np.zeros(WIDTH, i), np.zeros(WIDTH, i), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f),
         np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), i), np.empty((WIDTH, GLASS, light_groups, 3), f),
-        np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, 10), f),
+        np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, 11), f),
         np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, 11), f),
         np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f),
     )  # fmt: skip
@@ -354,7 +366,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             out[emitted + 2] += eb
             sample[s, PLACE], sample[s, PLACE + 1], sample[s, PLACE + 2], sample[s, ERROR] = x, y, z, error
             sample[s, FACING], sample[s, FACING + 1], sample[s, FACING + 2] = gx, gy, gz
-            sample[s, SHADED], sample[s, SHADED + 1], sample[s, SHADED + 2] = sx, sy, sz
+            sample[s, SHADED], sample[s, SHADED + 1], sample[s, SHADED + 2], sample[s, TILTED] = sx, sy, sz, surface[TILT]
             if nearest < 0 or depth[pixel, s] < depth[pixel, nearest]:
                 nearest = s
             footprint = pixel_width if camera.orthographic else pixel_width * depth[pixel, s]
@@ -374,9 +386,10 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
                 group[k, :] = _0
             group_of[s] = k
             group[k, MEMBERS] += _1
-            group[k, G_ALBEDO] += ar
-            group[k, G_ALBEDO + 1] += ag
-            group[k, G_ALBEDO + 2] += ab
+            lit = mean_shadowing(surface[TILT])  # direct light puts its own in place of the mean
+            group[k, G_ALBEDO] += lit * ar
+            group[k, G_ALBEDO + 1] += lit * ag
+            group[k, G_ALBEDO + 2] += lit * ab
             fr, fg, fb = surface[GLOSSY_F90] * wr, surface[GLOSSY_F90 + 1] * wg, surface[GLOSSY_F90 + 2] * wb
             group[k, G_F0] += surface[GLOSSY_F0] * wr
             group[k, G_F0 + 1] += surface[GLOSSY_F0 + 1] * wg

@@ -67,12 +67,15 @@ class Compared:
 class Grid:
     """Materials by name; `compare` renders and evaluates them all."""
 
-    materials: dict[str, tuple[bpy.types.Material, float]] = field(default_factory=dict)
+    materials: dict[str, tuple[bpy.types.Material, float, tuple[float, float]]] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     flags: np.ndarray | None = None
 
-    def add(self, name: str, build: Callable[[bpy.types.NodeTree, bpy.types.Node], None], angle: float = 0.0) -> None:
-        """A plane turned by `angle` from the camera, whose tree `build(tree, output)` fills."""
+    def add(self, name: str, build: Callable[[bpy.types.NodeTree, bpy.types.Node], None], angle: float = 0.0, scale=(1, 1)) -> None:
+        """A plane turned by `angle` from the camera, whose tree `build(tree, output)` fills.
+
+        scale: of the object, whose mesh is as much smaller.
+        """
         material = bpy.data.materials.new(name)
         assert material.name == name, "Blender cuts names after 63 bytes"
         if material.node_tree is None:
@@ -80,7 +83,7 @@ class Grid:
         tree = material.node_tree
         tree.nodes.clear()
         build(tree, tree.nodes.new("ShaderNodeOutputMaterial"))
-        self.materials[name] = material, angle
+        self.materials[name] = material, angle, scale
 
     def emit(self, name: str, node_type: str, output: str | int = 0, **settings) -> None:
         """A plane that emits one output of one node; settings are properties, and inputs by name or index in `inputs`."""
@@ -102,23 +105,23 @@ class Grid:
 
     def compare(self) -> dict[str, Compared]:
         columns = math.ceil(math.sqrt(len(self.materials)))
-        for i, (name, (material, angle)) in enumerate(self.materials.items()):
-            obj = _plane(name, material)
+        for i, (name, (material, angle, scale)) in enumerate(self.materials.items()):
+            obj = _plane(name, material, scale)
             # The hinge is the plane's middle line, so that its middle rows of pixels stay on it.
             half = 0.5 * math.cos(angle), 0.5 * math.sin(angle)
             obj.rotation_euler = angle, 0, 0
             obj.location = i % columns, i // columns + 0.5 - half[0], -half[1]
         passes = _render(columns)
-        found = compile_materials([MaterialUse(m, (bpy.data.objects[n],)) for n, (m, _) in self.materials.items()])
+        found = compile_materials([MaterialUse(m, (bpy.data.objects[n],)) for n, (m, _, _) in self.materials.items()])
         self.warnings, self.flags = found.warnings, found.materials.tables.flags
         result = {}
-        for i, (name, (_, angle)) in enumerate(self.materials.items()):
+        for i, (name, (_, angle, scale)) in enumerate(self.materials.items()):
             x, y = i % columns * PIXELS, i // columns * PIXELS
             mine = {p: a[y : y + PIXELS, x : x + PIXELS].reshape(PIXELS * PIXELS, -1) for p, a in passes.items()}
             cosine = math.cos(angle)
             # Cycles' sample lies near the pixel's centre, the Position pass says where.
             place = (mine["Position"] - np.array(bpy.data.objects[name].location))[:, :2] / (1, cosine)
-            result[name] = Compared(mine, _evaluate(found, i, columns, cosine, place), cosine)
+            result[name] = Compared(mine, _evaluate(found, i, columns, angle, scale, place), cosine)
         return result
 
 
@@ -136,9 +139,9 @@ def new_node(tree, node_type, inputs=None, **settings):
     return node
 
 
-def _plane(name, material):
+def _plane(name, material, scale):
     mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata([(*c, 0) for c in CORNERS], [], [list(t) for t in TRIANGLES])
+    mesh.from_pydata([(*c, 0) for c in CORNERS / scale], [], [list(t) for t in TRIANGLES])
     mesh.materials.append(material)
     corner_of_loop = TRIANGLES.reshape(-1)
     for uv_name, flip in (("UVMap", False), ("Second", True)):
@@ -148,6 +151,7 @@ def _plane(name, material):
     tint.data.foreach_set("color", TINT[corner_of_loop].astype(np.float32).ravel())
     mesh.attributes.new("Weight", "FLOAT", "POINT").data.foreach_set("value", WEIGHT.astype(np.float32))
     obj = bpy.data.objects.new(name, mesh)
+    obj.scale = *scale, 1
     obj.color = (0.2, 0.4, 0.6, 0.8)
     obj.pass_index = 3
     obj["level"] = 0.7
@@ -155,9 +159,10 @@ def _plane(name, material):
     return obj
 
 
-def _attribute(request, index, columns):
-    """(4 corners, 4) values of a request on an upright plane."""
+def _attribute(request, index, columns, angle, scale):
+    """(4 corners, 4) values of a request on a plane; its direction matters to the world's position and normal alone."""
     place = np.array([index % columns, index // columns])
+    c, s = math.cos(angle), math.sin(angle)
     values = np.ones((4, 4))
     if request.kind == rq.UV or (request.kind == rq.ATTRIBUTE and request.name in ("UVMap", "Second")):
         uv = UV_LOW + UV_SPAN * CORNERS
@@ -167,12 +172,16 @@ def _attribute(request, index, columns):
         values[:] = TINT
     elif request.name == "Weight":
         values[:, :3] = WEIGHT[:, None]
-    elif request.kind in (rq.OBJECT, rq.WORLD_POSITION):
-        values[:, :2] = CORNERS + (place if request.kind == rq.WORLD_POSITION else 0)
-        values[:, 2] = 0
+    elif request.kind == rq.OBJECT:
+        values[:, :2], values[:, 2] = CORNERS / scale, 0
+    elif request.kind == rq.WORLD_POSITION:
+        y = CORNERS[:, 1] - 0.5
+        values[:, :3] = np.stack([place[0] + CORNERS[:, 0], place[1] + 0.5 + y * c, y * s], 1)
     elif request.kind == rq.GENERATED:
         values[:, :2], values[:, 2] = CORNERS, 0.5
-    elif request.kind in (rq.NORMAL, rq.WORLD_NORMAL, rq.FACE_NORMAL):
+    elif request.kind in (rq.WORLD_NORMAL, rq.FACE_NORMAL):
+        values[:, :3] = 0, -s, c
+    elif request.kind == rq.NORMAL:
         values[:, :3] = 0, 0, 1
     elif request.kind == rq.TANGENT:
         values[:, :3] = (0, 1, 0) if request.name == "Second" else (1, 0, 0)
@@ -190,16 +199,17 @@ def _attribute(request, index, columns):
     return values
 
 
-def _evaluate(found, index, columns, cosine, place):
+def _evaluate(found, index, columns, angle, scale, place):
     attributes = np.zeros((max(1, found.slots), 2, 3, 4), np.float32)
     for k, request in enumerate(found.requests[index]):
-        attributes[k] = _attribute(request, index, columns)[TRIANGLES]
+        attributes[k] = _attribute(request, index, columns, angle, scale)[TRIANGLES]
+    found.materials.tables.constants[0] = 0, 0, 0, -1 / PIXELS  # the size of a pixel: see `surfaces.footprint`
     x, y = place.T
     # (0,0) (1,0) (1,1) below the diagonal, (0,0) (1,1) (0,1) above it
     below = x >= y
     u, v = np.where(below, x - y, x), np.where(below, y, y - x)
     materials = np.full(2, index, np.int32)
-    return evaluate_batch(found.materials.tables, materials, attributes, np.where(below, 0, 1), u, v, cosine, threads=1)
+    return evaluate_batch(found.materials.tables, materials, attributes, np.where(below, 0, 1), u, v, math.cos(angle), threads=1)
 
 
 def _render(columns):

@@ -162,7 +162,7 @@ def test_one_image_is_stored_once(grid, node, tmp_path):
     image = written(tmp_path, "a.png", pattern(3))
     for extension in ("REPEAT", "CLIP"):
         grid.add(extension, emission(node, image, extension=extension))
-    found = compile_materials([MaterialUse(m) for m, _ in grid.materials.values()])
+    found = compile_materials([MaterialUse(m) for m, *_ in grid.materials.values()])
     assert found.materials.tables.texels_u8.size == WIDTH * HEIGHT * 3
     assert len(found.materials.tables.texture_header) == 2
 

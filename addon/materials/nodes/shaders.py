@@ -5,6 +5,7 @@ from __future__ import annotations
 from ....core.surfaces import program as ops
 from ..builder import ONE, ZERO, Constant, Value, scalar
 from ..registry import closure
+from ..requests import WORLD_NORMAL
 from ..tree import NodeInput
 
 
@@ -21,7 +22,8 @@ def _multiple(node: NodeInput) -> int:
 def _normal(node: NodeInput, key: str = "Normal") -> None:
     """The shading normal of a linked normal input."""
     if node.has(key) and node.linked(key):
-        node.emit(ops.NORMAL_MAP, node[key])
+        corrected = getattr(getattr(node.context.material, "cycles", None), "use_bump_map_correction", True)
+        node.emit(ops.NORMAL_MAP, node[key], node.program.attribute(WORLD_NORMAL), p=int(corrected))
 
 
 def _warn_straight(node: NodeInput, what: str) -> None:
