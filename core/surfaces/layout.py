@@ -1,7 +1,8 @@
 """The surface: the floats that describe what a material is at one point, and what is read from them.
 
 One surface sums all closures of a node tree.  Reflectances are albedos (0..1), `EMISSION` is radiance in
-W/m^2/sr, `TRANSPARENCY` the share of light that goes straight through.  The diffuse albedo depends on
+W/m^2/sr, `TRANSPARENCY` the share of light that goes straight through, `TRANSLUCENCY` that which leaves the
+other side spread as by a diffuse reflection.  The diffuse albedo depends on
 the view where a dielectric lobe lies on top of it (see `ggx`): the part `LAYERED` of `DIFFUSE` is
 covered by the lobe that the four `LAYER_*` numbers describe.  Where a mix holds several such lobes the
 four are their means, weighted by what they cover.
@@ -29,7 +30,8 @@ GLOSSY_F90 = 19  # rgb: at grazing incidence
 ROUGHNESS = 22  # of the glossy lobes, weighted by their albedo
 NORMAL = 23  # xyz: world-space shading normal of a NORMAL_MAPPED material, else zeros
 REFRACTION = 26  # rgb: the part of TRANSPARENCY that passes glass, which is a bounce to Cycles
-SURFACE = 29  # length
+TRANSLUCENCY = 29  # rgb: diffuse transmittance, the same from both sides
+SURFACE = 32  # length
 
 # Lobes at least as rough spread light about as a diffuse one does.
 WIDE = F(0.5)
@@ -62,6 +64,12 @@ def diffuse_albedo_average(surface):
 
 
 @inlined
+def translucency(surface):
+    """Diffuse transmittance (r, g, b): to Cycles a part of its Diffuse Color pass."""
+    return surface[TRANSLUCENCY], surface[TRANSLUCENCY + 1], surface[TRANSLUCENCY + 2]
+
+
+@inlined
 def glossy_rise(cosine, roughness):
     """How far a glossy albedo at `cosine` has risen from `GLOSSY_F0` to `GLOSSY_F90`."""
     return ggx.fresnel_rise(_GLOSSY_Z, cosine, roughness)
@@ -91,10 +99,10 @@ def passing_chance(surface):
 
 @inlined
 def largest_kept(surface):
-    """Bound on the largest channel of the albedo, diffuse and glossy together; at least 1 for a surface that shines."""
+    """Bound on the largest channel of what is scattered, diffuse and glossy together; at least 1 for a surface that shines."""
     kept = F(0)
     for c in range(3):
-        kept = max(kept, surface[DIFFUSE + c] + max(surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c]))
+        kept = max(kept, surface[DIFFUSE + c] + surface[TRANSLUCENCY + c] + max(surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c]))
         if surface[EMISSION + c] > F(0):
             kept = max(kept, F(1))
     return kept

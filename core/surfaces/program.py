@@ -16,7 +16,7 @@ from ..jit import inlined, kernel, leaf
 from ..scene import CONSTANT, MaterialTables
 from . import closures, outlined, textures
 from .colors import luminance
-from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TRANSPARENCY
+from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TRANSLUCENCY, TRANSPARENCY
 
 F = np.float32
 
@@ -57,7 +57,8 @@ MEAN_VIEW = 2.0
     SHEEN_CLOSURE,  # (weight, roughness) a, tint b; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
     NORMAL_MAP,  # world-space normal a
-) = range(27)
+    TRANSLUCENT_CLOSURE,  # colour a
+) = range(28)
 
 
 @kernel
@@ -186,6 +187,8 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
             x, y, z = closures.coat(surface, ax, ay, az, bx, by, bz, dx, dy, dz, cosine)
         elif op == NORMAL_MAP:
             surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2] = ax, ay, az
+        elif op == TRANSLUCENT_CLOSURE:
+            closures.add(surface, TRANSLUCENCY, dx, dy, dz, ax, ay, az)
         rows[destination, 0], rows[destination, 1], rows[destination, 2], rows[destination, 3] = x, y, z, w
         at += 1
     closures.finish(surface)

@@ -80,9 +80,9 @@ def diffuse(node: NodeInput, weight: Value) -> None:
 
 @closure("ShaderNodeBsdfTranslucent")
 def translucent(node: NodeInput, weight: Value) -> None:
-    """Translucent BSDF: its light comes from behind in Cycles, from the front here."""
-    node.warn("a Translucent BSDF is lit from the front, as if it were diffuse")
-    node.emit(ops.DIFFUSE_CLOSURE, node["Color"], ZERO, ZERO, weight)
+    """Translucent BSDF: diffuse transmission."""
+    _normal(node)
+    node.emit(ops.TRANSLUCENT_CLOSURE, node["Color"], ZERO, ZERO, weight)
 
 
 @closure("ShaderNodeSubsurfaceScattering")
