@@ -45,7 +45,7 @@ from .surfaces.layout import (
     diffuse_albedo_average,
     glossy_albedo,
     passing_chance,
-    translucency,
+    translucency_average,
 )
 from .surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
 from .surfaces.normals import shading_normal, surface_side
@@ -253,7 +253,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         u1, u2 = uniform(seed, i, bounce, 0), uniform(seed, i, bounce, 1)
                     dr, dg, db = diffuse_albedo_average(surface)
                     fr, fg, fb = glossy_albedo(surface, min(_1, abs(cos_s)))
-                    tr, tg, tb = translucency(surface)
+                    tr, tg, tb = translucency_average(surface)
                     through_sum = tr + tg + tb
                     total = dr + dg + db + fr + fg + fb + through_sum
                     albedo_sum += total / 3.0

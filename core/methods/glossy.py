@@ -207,7 +207,7 @@ def _reflect_chunk(
             ar, ag, ab = diffuse_albedo(surface, cosine)
             lr = lg = lb = _0
             if flags & TRANSLUCENT:
-                lr, lg, lb = translucency(surface)
+                lr, lg, lb = translucency(surface, cosine)
             through = lr + lg + lb
             chance = _0  # of a mirror, rather than of what is diffuse
             if narrow:

@@ -59,7 +59,7 @@ def scatter_light(
     """
     cosine = min(_1, abs(sx * wx + sy * wy + sz * wz))
     dr, dg, db = diffuse_albedo(surface, cosine)
-    tr, tg, tb = translucency(surface)
+    tr, tg, tb = translucency(surface, cosine)
     roughness = surface[ROUGHNESS]
     f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
     f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]

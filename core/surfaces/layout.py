@@ -30,8 +30,9 @@ GLOSSY_F90 = 19  # rgb: at grazing incidence
 ROUGHNESS = 22  # of the glossy lobes, weighted by their albedo
 NORMAL = 23  # xyz: world-space shading normal of a NORMAL_MAPPED material, else zeros
 REFRACTION = 26  # rgb: the part of TRANSPARENCY that passes glass, which is a bounce to Cycles
-TRANSLUCENCY = 29  # rgb: diffuse transmittance, the same from both sides
-SURFACE = 32  # length
+TRANSLUCENCY = 29  # rgb: diffuse transmittance, the same from both sides, before the dielectric lobe takes its share
+LAYERED_TRANSLUCENCY = 32  # the part (0..1) of TRANSLUCENCY under a dielectric lobe
+SURFACE = 33  # length
 
 # Lobes at least as rough spread light about as a diffuse one does.
 WIDE = F(0.5)
@@ -64,9 +65,23 @@ def diffuse_albedo_average(surface):
 
 
 @inlined
-def translucency(surface):
-    """Diffuse transmittance (r, g, b): to Cycles a part of its Diffuse Color pass."""
-    return surface[TRANSLUCENCY], surface[TRANSLUCENCY + 1], surface[TRANSLUCENCY + 2]
+def translucency(surface, cosine):
+    """Diffuse transmittance (r, g, b) of light from behind for a view at `cosine` (0..1): to Cycles a part of its Diffuse Color pass."""
+    kept = F(1)
+    if surface[LAYERED_TRANSLUCENCY] > F(0):
+        share = ggx.layer_albedo(surface[LAYER_F0], surface[LAYER_Z], surface[LAYER_ROUGHNESS], surface[LAYER_MULTIPLE], cosine)
+        kept -= min(max(share, F(0)), F(1)) * surface[LAYERED_TRANSLUCENCY]
+    return kept * surface[TRANSLUCENCY], kept * surface[TRANSLUCENCY + 1], kept * surface[TRANSLUCENCY + 2]
+
+
+@inlined
+def translucency_average(surface):
+    """Diffuse transmittance (r, g, b), the mean of `translucency` over the cosine-weighted hemisphere."""
+    kept = F(1)
+    if surface[LAYERED_TRANSLUCENCY] > F(0):
+        share = ggx.layer_albedo_mean(surface[LAYER_F0], surface[LAYER_Z], surface[LAYER_ROUGHNESS], surface[LAYER_MULTIPLE])
+        kept -= min(max(share, F(0)), F(1)) * surface[LAYERED_TRANSLUCENCY]
+    return kept * surface[TRANSLUCENCY], kept * surface[TRANSLUCENCY + 1], kept * surface[TRANSLUCENCY + 2]
 
 
 @inlined

@@ -16,7 +16,7 @@ from ..jit import inlined, kernel, leaf
 from ..scene import CONSTANT, MaterialTables
 from . import closures, outlined, textures
 from .colors import luminance
-from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TRANSLUCENCY, TRANSPARENCY
+from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TRANSPARENCY
 
 F = np.float32
 
@@ -57,7 +57,7 @@ MEAN_VIEW = 2.0
     SHEEN_CLOSURE,  # (weight, roughness) a, tint b; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
     NORMAL_MAP,  # world-space normal a
-    TRANSLUCENT_CLOSURE,  # colour a
+    TRANSLUCENT_CLOSURE,  # colour a, p: under the dielectric lobe
 ) = range(28)
 
 
@@ -188,7 +188,7 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
         elif op == NORMAL_MAP:
             surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2] = ax, ay, az
         elif op == TRANSLUCENT_CLOSURE:
-            closures.add(surface, TRANSLUCENCY, dx, dy, dz, ax, ay, az)
+            closures.translucent(surface, ax, ay, az, p, dx, dy, dz)
         rows[destination, 0], rows[destination, 1], rows[destination, 2], rows[destination, 3] = x, y, z, w
         at += 1
     closures.finish(surface)

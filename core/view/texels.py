@@ -23,14 +23,14 @@ from ..sampling.hashing import hash_combine
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..sampling.sequences import r2
 from ..scene import DIFFUSE, NORMAL_MAPPED, TRANSLUCENT
-from ..surfaces.layout import EMISSION, NORMAL, SURFACE, diffuse_albedo_average, translucency
+from ..surfaces.layout import EMISSION, NORMAL, SURFACE, diffuse_albedo_average, translucency_average
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..threads import Progress, run_chunks
 from ..transport import Transport, is_translucent
 from .camera import pixel_sample
 from .points import ShadingPoints
-from .primary import SAME_NORMAL
+from .tile import SAME_NORMAL
 
 ROWS = 16  # of texels a chunk
 MOST_SAMPLES = WIDTH  # a texel: they are traced as one packet
@@ -303,7 +303,7 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
                 sx, sy, sz = -sx, -sy, -sz
             tr = tg = tb = _0
             if translucent:
-                tr, tg, tb = translucency(surface)
+                tr, tg, tb = translucency_average(surface)
             if materials:
                 r, g, b = diffuse_albedo_average(surface)
                 out[ALBEDO] += share * (r + tr)

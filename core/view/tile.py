@@ -352,7 +352,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             ar, ag, ab = ar * wr, ag * wg, ab * wb
             tr = tg = tb = _0
             if materials.flags[material[triangle]] & TRANSLUCENT:
-                tr, tg, tb = translucency(surface)
+                tr, tg, tb = translucency(surface, cosine)
                 tr, tg, tb = tr * wr, tg * wg, tb * wb
             if not behind_glass:
                 out[ALBEDO] += ar + tr
