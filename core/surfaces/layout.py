@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined
+from ..jit import inlined, leaf
 from . import ggx
 
 F = np.float32
@@ -64,7 +64,7 @@ def diffuse_albedo_average(surface):
     )
 
 
-@inlined
+@leaf
 def translucency(surface, cosine):
     """Diffuse transmittance (r, g, b) of light from behind for a view at `cosine` (0..1): to Cycles a part of its Diffuse Color pass."""
     kept = F(1)
@@ -74,7 +74,7 @@ def translucency(surface, cosine):
     return kept * surface[TRANSLUCENCY], kept * surface[TRANSLUCENCY + 1], kept * surface[TRANSLUCENCY + 2]
 
 
-@inlined
+@leaf
 def translucency_average(surface):
     """Diffuse transmittance (r, g, b), the mean of `translucency` over the cosine-weighted hemisphere."""
     kept = F(1)
