@@ -8,6 +8,7 @@ from .lamps import Emitters
 from .lamps.tables import TRIANGLE
 from .scene import ALL_RAYS, AREA, CONSTANT, EMISSIVE, POINT, SPOT, SUN, TRANSPARENT, Scene, Skipped
 from .surfaces.layout import DIFFUSE as DIFFUSE_ALBEDO
+from .surfaces.layout import TRANSLUCENCY
 
 LAMP_KINDS = {POINT: "point", SPOT: "spot", SUN: "sun", AREA: "area"}
 NO_LIGHT = "nothing in the scene gives light: add a lamp, an emissive material or a world colour"
@@ -81,8 +82,9 @@ def foresee(scene: Scene, emitters: Emitters) -> tuple[list[Skipped], list[str]]
         warnings.append(NO_GEOMETRY)
     if not len(emitters.kind):
         warnings.append(NO_LIGHT)
-    black = ((tables.flags & CONSTANT) != 0) & (tables.constant[:, DIFFUSE_ALBEDO : DIFFUSE_ALBEDO + 3] <= 0).all(axis=1)
-    bright = np.where((tables.flags & CONSTANT) != 0, tables.constant[:, DIFFUSE_ALBEDO : DIFFUSE_ALBEDO + 3].max(axis=1), 0.0)
+    sent = sum(tables.constant[:, at : at + 3] for at in (DIFFUSE_ALBEDO, TRANSLUCENCY))
+    black = ((tables.flags & CONSTANT) != 0) & (sent <= 0).all(axis=1)
+    bright = np.where((tables.flags & CONSTANT) != 0, sent.max(axis=1), 0.0)
     warnings += [
         f"material '{scene.materials.names[i]}' has an albedo of {bright[i]:.3g}: it reflects more light than it receives, "
         "which grows with every bounce; keep its colour within 1"

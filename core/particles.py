@@ -15,6 +15,8 @@ direction drawn from the lobe: all of them together shine as the lobe does, blur
 `trace_by_power` shine about it more narrowly, by a cosine that is stretched along it (Heitz, Dupuy, Hill & Neubelt 2016,
 Real-Time Polygonal-Light Shading with Linearly Transformed Cosines): 1 / sqrt(1 + b) times as wide, b their sharpness.
 Only diffuse reflections count as bounces, as in Cycles; the first surface that a lamp lights is free in any case.
+
+Translucent surfaces: a particle that is drawn to go through leaves its VPL on the other side, and flies on from there.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from .rays.trace import ALL, intersect_packet
 from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
-from .scene import DIFFUSE, GLOSSY_LOBE, SHADOW, TRANSPARENT
+from .scene import DIFFUSE, GLOSSY_LOBE, SHADOW, TRANSLUCENT, TRANSPARENT
 from .surfaces.bumps import shadowing
 from .surfaces.layout import (
     GLOSSY_F0,
@@ -45,6 +47,7 @@ from .surfaces.layout import (
     diffuse_albedo_average,
     glossy_albedo,
     passing_chance,
+    translucency_average,
 )
 from .surfaces.lobes import ALPHA, LOBE, NORMAL, VIEWER, sample_lobe, set_lobe
 from .surfaces.normals import mapped_normal, shading_normal, surface_side
@@ -56,7 +59,7 @@ from .transport import Transport
 _EMISSION_DIMENSIONS = 5  # Sobol dimensions that a particle's birth takes
 _MAX_PASSED = 64  # transparent surfaces that one flight passes at most
 _MAX_ADJOINT = np.float32(8.0)  # bound of |ns.w| / |ng.w|: beyond it a smooth normal is far from its triangle
-_MORE_SURFACES = 4  # that a path may meet beyond its diffuse bounces, by glossy reflections
+_MORE_SURFACES = 4  # that a path may meet beyond its diffuse bounces, by glossy reflections and through translucent surfaces
 LEAST_POWER = 1.0  # of the mean share of its light that a particle keeps at a first surface: what surely flies on by `trace_by_power`
 # Most `sharpness` of lights by `trace_by_power`: narrower ones are seen as spots, for there are only so many of them.
 SHARPEST = np.float32(8.0)
@@ -285,12 +288,16 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         u1, u2 = uniform(seed, i, bounce, 0), uniform(seed, i, bounce, 1)
                     dr, dg, db = diffuse_albedo_average(surface)
                     fr, fg, fb = glossy_albedo(surface, min(_1, abs(cos_s)))
-                    total = dr + dg + db + fr + fg + fb
+                    tr, tg, tb = translucency_average(surface)
+                    through_sum = tr + tg + tb
+                    total = dr + dg + db + fr + fg + fb + through_sum
                     albedo_sum += total / 3.0
                     albedo_count += 1
                     chance = (fr + fg + fb) / max(total, np.float32(1e-12))
-                    glossy = uniform(seed, i, bounce, 2) < chance
-                    if not glossy or bounce == 0:
+                    pick = uniform(seed, i, bounce, 2)
+                    glossy = pick < chance
+                    transmitted = through_sum > _0 and not glossy and pick * total < fr + fg + fb + through_sum
+                    if not (glossy or transmitted) or bounce == 0:
                         scattered[lane] += 1
                     if scattered[lane] > bounces:
                         flying[lane] = False
@@ -304,9 +311,15 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         # About its axis, it is cut off by the surface; what is left has the light of all of it.
                         lit = np.float32(2.0) / (_1 + _flattened(gx * axis_x + gy * axis_y + gz * axis_z, sharp))
                     else:
+                        rest = _1 - chance
+                        if transmitted:
+                            gx, gy, gz, behind = -gx, -gy, -gz, not behind
+                            dr, dg, db, rest = tr, tg, tb, through_sum / total
+                        elif through_sum > _0:
+                            rest = (dr + dg + db) / total
                         lx, ly, lz = cosine_hemisphere(u1, u2)
                         wx, wy, wz = to_world(lx, ly, lz, gx, gy, gz)
-                        left = shadowing(surface[TILT], -cos_g) / (_1 - chance)
+                        left = shadowing(surface[TILT], -cos_g) / rest
                         r, g, b = left * dr, left * dg, left * db
                     r, g, b = flux[lane, 0] * adjoint * r, flux[lane, 1] * adjoint * g, flux[lane, 2] * adjoint * b
                     if not max(r, g, b) > 0:
@@ -381,7 +394,7 @@ def _fly(
     )
     if albedo_count == 0 or bounces < 1:
         return Vpls.allocate(0), n_rays
-    surfaces = bounces + (_MORE_SURFACES if (scene.materials.flags & GLOSSY_LOBE).any() else 0)
+    surfaces = bounces + (_MORE_SURFACES if (scene.materials.flags & (GLOSSY_LOBE | TRANSLUCENT)).any() else 0)
     if by_power:
         least = np.float32(LEAST_POWER * kept_sum / n) if n else none
         survivors = np.full(surfaces, particles, np.int64)

@@ -14,7 +14,7 @@ from .lamps import LightGroups
 from .layers import GROUP_LAYERS, Layers
 from .scene import Scene
 from .surfaces.lobes import NEGLIGIBLE
-from .view.points import ShadingPoints, glossy_albedos
+from .view.points import GRAZING, ShadingPoints, glossy_albedos
 from .view.primary import View
 
 MIRRORED, MIRRORED_PIXELS = 0.1, 0.01  # albedo in a mirror that a denoiser goes by, and the least share of the pixels
@@ -318,6 +318,7 @@ def denoising_guides(seen: View) -> tuple[np.ndarray, np.ndarray]:
         return seen.albedo, seen.mean_normal
     through = splat(behind, behind.albedo, seen.shape)
     shown = behind.albedo.mean(axis=1, keepdims=True)
+    shown = np.where((behind.ng * behind.wo).sum(axis=1, keepdims=True) < GRAZING, -shown, shown)  # of what is lit from its other side
     normal = seen.albedo.mean(axis=2, keepdims=True) * seen.mean_normal + splat(behind, shown * behind.ns, seen.shape)
     length = np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), np.float32(1e-9))
     return seen.albedo + through, np.where(through.any(axis=2, keepdims=True), normal / length, seen.mean_normal)

@@ -34,7 +34,7 @@ from .settings import RenderSettings
 from .surfaces.program import with_viewer
 from .threads import Cancelled
 from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, reachable_vpls, rooms_seen, without_emitters
-from .transport import Transport, transport
+from .transport import Transport, is_translucent, transport
 from .view.points import ShadingPoints
 from .vpl_pool import MOST_BATCHES, vpl_pool, vpl_sequence
 
@@ -154,6 +154,8 @@ def one_by_one(emitters: Emitters) -> Emitters:
 
 def within_reach(run: Run, tables: Transport, points: ShadingPoints) -> Transport:
     """The tables without the light of what lies in rooms that no path joins to those that are seen."""
+    if is_translucent(tables):  # it may come through walls
+        return tables
     kept = reachable_emitters(run.topology, rooms_seen(run.topology, points), tables.emitters)
     run.leave_out("lamps", np.count_nonzero(~kept), len(kept))
     if kept.all():

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .scene import Geometry, MaterialTables
+from .scene import TRANSLUCENT, Geometry, MaterialTables
 
 
 class Transport(NamedTuple):
@@ -34,3 +34,8 @@ def transport(geometry: Geometry, materials: MaterialTables, rays, emitters) -> 
     return Transport(
         rays, g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object, g.object_visibility, materials, emitters
     )
+
+
+def is_translucent(scene: Transport) -> bool:
+    """Whether any material lets light through diffusely."""
+    return bool((scene.materials.flags & TRANSLUCENT).any())

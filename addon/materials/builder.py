@@ -15,6 +15,7 @@ from .requests import DISPLACED, AttributeRequest
 _CLOSURES = frozenset(
     {
         ops.DIFFUSE_CLOSURE,
+        ops.TRANSLUCENT_CLOSURE,
         ops.EMISSION_CLOSURE,
         ops.TRANSPARENT_CLOSURE,
         ops.REFRACTION_CLOSURE,

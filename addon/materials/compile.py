@@ -10,7 +10,7 @@ import numpy as np
 from ...core import scene
 from ...core.surfaces import outlined
 from ...core.surfaces import program as ops
-from ...core.surfaces.layout import EMISSION, GLOSSY_F0, REFRACTION, SURFACE, TRANSPARENCY
+from ...core.surfaces.layout import EMISSION, GLOSSY_F0, REFRACTION, SURFACE, TRANSLUCENCY, TRANSPARENCY
 from ...core.surfaces.textures import TexturePool
 from . import nodes, registry  # noqa: F401  (importing `nodes` fills the registry)
 from .bake import Baker
@@ -101,6 +101,7 @@ def _link(programs: list[Program], names: list[str], textures: TexturePool, warn
                 | scene.TRANSPARENT * bool(operations & _TRANSPARENT)
                 | scene.REFRACTIVE * bool(operations & _REFRACTIVE)
                 | scene.GLOSSY_LOBE * bool(operations & _GLOSSY)
+                | scene.TRANSLUCENT * (ops.TRANSLUCENT_CLOSURE in operations)
             )
         flags[m] |= scene.NORMAL_MAPPED * (ops.NORMAL_MAP in operations)
     header, texels_u8, texels_f32 = textures.tables()
@@ -115,5 +116,6 @@ def _constant_flags(surface: np.ndarray) -> int:
         (scene.TRANSPARENT, TRANSPARENCY, 3),
         (scene.REFRACTIVE, REFRACTION, 3),
         (scene.GLOSSY_LOBE, GLOSSY_F0, 6),
+        (scene.TRANSLUCENT, TRANSLUCENCY, 3),
     )
     return sum(flag for flag, at, n in pairs if (surface[at : at + n] > 0).any())

@@ -21,8 +21,9 @@ from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.sequences import sobol
-from ..scene import CONSTANT, EMISSIVE, GLOSSY, NORMAL_MAPPED
+from ..scene import CONSTANT, EMISSIVE, GLOSSY, NORMAL_MAPPED, TRANSLUCENT
 from ..surfaces.layout import (
+    DIFFUSE,
     EMISSION,
     GLOSSY_F0,
     GLOSSY_F90,
@@ -31,6 +32,7 @@ from ..surfaces.layout import (
     SURFACE,
     diffuse_albedo,
     glossy_albedo,
+    translucency,
 )
 from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, reflection_count, sample_lobe
 from ..surfaces.normals import shading_normal, surface_side
@@ -203,10 +205,14 @@ def _reflect_chunk(
                 shown[i, c + 1] += share * wg * surface[EMISSION + 1]
                 shown[i, c + 2] += share * wb * surface[EMISSION + 2]
             ar, ag, ab = diffuse_albedo(surface, cosine)
+            lr = lg = lb = _0
+            if flags & TRANSLUCENT:
+                lr, lg, lb = translucency(surface, cosine)
+            through = lr + lg + lb
             chance = _0  # of a mirror, rather than of what is diffuse
             if narrow:
                 fr, fg, fb = glossy_albedo(surface, cosine)
-                chance = (fr + fg + fb) / max(fr + fg + fb + ar + ag + ab, np.float32(1e-6))
+                chance = (fr + fg + fb) / max(fr + fg + fb + ar + ag + ab + through, np.float32(1e-6))
             if (chance < _SHINY or wide) and t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
                 cell = find_cell(
                     cache, px, py, pz, hx, hy, hz, surface_side(material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
@@ -238,19 +244,32 @@ def _reflect_chunk(
                 wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
             mirror[n_hits] = sure[n_hits] = 0
             if clear[i]:
-                guide[i, 0] += wr * ar
-                guide[i, 1] += wg * ag
-                guide[i, 2] += wb * ab
+                guide[i, 0] += wr * (ar + lr)
+                guide[i, 1] += wg * (ag + lg)
+                guide[i, 2] += wb * (ab + lb)
             kr, kg, kb = wr, wg, wb  # of the lobe that the hit keeps
             if narrow:
                 mirror[n_hits] = uniform(key, index, 1, 1) < chance
                 sure[n_hits] = clear[i] != 0 and chance > _MIRROR
                 if mirror[n_hits]:
                     kr, kg, kb = wr / chance, wg / chance, wb / chance
-                    ar = ag = ab = _0
+                    ar = ag = ab = through = _0
                 else:
                     kr = kg = kb = _0
                     ar, ag, ab = ar / (_1 - chance), ag / (_1 - chance), ab / (_1 - chance)
+                    lr, lg, lb = lr / (_1 - chance), lg / (_1 - chance), lb / (_1 - chance)
+            if through > _0:  # what it reflects, or what comes through it
+                kept = _0
+                for c in range(3):
+                    kept += surface[DIFFUSE + c] + (_0 if narrow else max(surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c]))
+                part = through / (through + kept)
+                if uniform(key, index, 1, 4) < part:
+                    hx, hy, hz, nx, ny, nz = -hx, -hy, -hz, -nx, -ny, -nz
+                    kr = kg = kb = _0
+                    ar, ag, ab = lr / part, lg / part, lb / part
+                else:
+                    part = _1 - part
+                    kr, kg, kb, ar, ag, ab = kr / part, kg / part, kb / part, ar / part, ag / part, ab / part
             if not max(kr, kg, kb, ar, ag, ab) > _0:
                 continue
             hits.f0[n_hits, 0], hits.f90[n_hits, 0] = kr * surface[GLOSSY_F0], kr * surface[GLOSSY_F90]

@@ -51,8 +51,8 @@ from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..surfaces.visibility import nearest_surface, transmittance1
 from ..threads import Progress, part, run_chunks
-from ..transport import Transport
-from ..view.points import ShadingPoints, shares
+from ..transport import Transport, is_translucent
+from ..view.points import ShadingPoints, is_transmitting, shares
 from ..vpl_pool import BATCH_SEED, Particles, vpl_pool
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
@@ -214,6 +214,7 @@ def _gathered(
             cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
         )  # fmt: skip
         own = sheen = _1
+        more = len(cache.radiosity) > bounces and is_transmitting(points, k)  # to come through counts as no bounce
         if cell >= 0:
             cos_x = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
             clamped = min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
@@ -222,6 +223,10 @@ def _gathered(
                     out[k, c] += wr * (cache.sent[cell, c] - clamped * cache.lit[cell, c])
                     out[k, c + 1] += wg * (cache.sent[cell, c + 1] - clamped * cache.lit[cell, c + 1])
                     out[k, c + 2] += wb * (cache.sent[cell, c + 2] - clamped * cache.lit[cell, c + 2])
+                    if more:
+                        out[k, c] += wr * (cache.radiosity[bounces, cell, c] - cache.radiosity[bounces - 1, cell, c])
+                        out[k, c + 1] += wg * (cache.radiosity[bounces, cell, c + 1] - cache.radiosity[bounces - 1, cell, c + 1])
+                        out[k, c + 2] += wb * (cache.radiosity[bounces, cell, c + 2] - cache.radiosity[bounces - 1, cell, c + 2])
                 if t > seen[lane, _REACH]:
                     clamped *= seen[lane, _CARRIED]
                     for c in range(0, out.shape[1], 3):
@@ -239,7 +244,7 @@ def _gathered(
         if sx * gx + sy * gy + sz * gz < 0:
             sx, sy, sz = -sx, -sy, -sz
         path_light(
-            scene, single, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, bounces, seed, path,
+            scene, single, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, bounces + more, seed, path,
             out, k, wr, wg, wb, own, sheen,
         )  # fmt: skip
 
@@ -477,8 +482,8 @@ class ImportanceSampling:
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
         self.emitters = focused(scene.emitters, self.lit_from) if focus else scene.emitters
         self.cache: LightCache = build_light_cache(
-            probes, self.bounces + has_lobes(points), self.seed, self.threads, part(progress, 0.6, 1.0), gathered=self.bounces,
-            later=min(1.0, RELIABLE * focus_share(self.emitters)),
+            probes, self.bounces + (has_lobes(points) or is_translucent(scene)), self.seed, self.threads, part(progress, 0.6, 1.0),
+            gathered=self.bounces, later=min(1.0, RELIABLE * focus_share(self.emitters)),
         )  # fmt: skip
         self.near = np.float32(NEAR * self.cache.size)
         self.weighed = False

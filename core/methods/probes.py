@@ -68,7 +68,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
         if vertex > 0:
             link = probe - 1
-            probes.link[link] = DIFFUSE_LINK if kinds == DIFFUSE else GLOSSY_LINK
+            probes.link[link] = DIFFUSE_LINK if kinds == DIFFUSE else GLOSSY_LINK  # translucent surfaces count as no bounce, either
             probes.link_position[link, 0], probes.link_position[link, 1], probes.link_position[link, 2] = x, y, z
             probes.link_side[link] = side
             probes.link_normal[link, 0], probes.link_normal[link, 1], probes.link_normal[link, 2] = gx, gy, gz

@@ -2,7 +2,9 @@
 
 VPLs cannot serve surfaces that are close to each other (their geometry term is clamped); there, and for
 glossy reflections, a short path tracer continues from the hit: direct light at every surface, a ray drawn from its
-diffuse or its glossy lobe to the next one.  Never blind to contact.
+diffuse or its glossy lobe to the next one, or through it where it is translucent.  Never blind to contact.
+
+To Cycles diffuse transmission is no diffuse bounce, so that as many of those may follow as after a glossy reflection.
 
 Of the lamps' light a glossy lobe reflects its true share, but spread as by a diffuse one: a path that finds a small lamp
 in a narrow lobe by chance would be all noise.  Where virtual lights stand for it, which know its direction, it is left to them.
@@ -18,17 +20,17 @@ from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
 from ..sampling.hashing import uniform
 from ..sampling.maps import cosine_hemisphere, to_world
-from ..scene import DIFFUSE, GLOSSY
+from ..scene import DIFFUSE, GLOSSY, TRANSMISSION
 from ..surfaces import layout
 from ..surfaces.bumps import shadowing
-from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TILT, WIDE, diffuse_albedo, glossy_rise
+from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TILT, WIDE, diffuse_albedo, glossy_rise, translucency
 from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, sample_lobe, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import nearest_surface
 from ..threads import run_chunks
 from ..transport import Transport
-from ..view.points import ShadingPoints
+from ..view.points import ShadingPoints, is_transmitting
 from .light_cache import LightCache, add_known, find_cell, no_cache
 
 CHUNK = 1024  # points a chunk
@@ -50,54 +52,72 @@ def scatter_light(
 
     (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
     overwritten.  lobe: (LOBE,) float32, scratch.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn.  at: first dimension.
-    out, shine: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, and of a
-    `WIDE` glossy one, to that of `out`, of another glossy one, times `sheen`, to that of `shine`.
+    out, shine: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, of what
+    comes through, and of a `WIDE` glossy lobe, to that of `out`, of another glossy one, times `sheen`, to that of `shine`.
 
     Returns (dx, dy, dz, wr, wg, wb, kinds): the ray's direction, its weight and its kind, 0 where there is none.
     """
     cosine = min(_1, abs(sx * wx + sy * wy + sz * wz))
     dr, dg, db = diffuse_albedo(surface, cosine)
+    tr, tg, tb = translucency(surface, cosine)
     roughness, tilt = surface[ROUGHNESS], surface[TILT]
     f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
     f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]
     share = _1 / np.float32(lamp_rays)
-    for k in range(lamp_rays):
+    # As many again on the other side, where light comes through; called in one place, which is as fast as without.
+    side = _1
+    for k in range(2 * lamp_rays if tr + tg + tb > _0 else lamp_rays):
+        if k == lamp_rays:
+            side = -_1
         r, g, b, cosine, e, across = direct_sample_at(
-            scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, at + 20 + k
-        )
+            scene, packet, rows, surface, x, y, z, error, side * gx, side * gy, side * gz, side * sx, side * sy, side * sz, seed, path, at + 20 + k
+        )  # fmt: skip
         if e < 0:
             continue
-        rise = glossy_rise(cosine, roughness)
         c = 3 * scene.emitters.light_group[e]
         r, g, b = kr * share * r, kg * share * g, kb * share * b
-        fr, fg, fb = r * (f0r + rise * (f90r - f0r)), g * (f0g + rise * (f90g - f0g)), b * (f0b + rise * (f90b - f0b))
         lit = shadowing(tilt, across)
-        r, g, b = lit * r * dr, lit * g * dg, lit * b * db
-        if roughness < WIDE:
-            shine[i, c] += sheen * fr
-            shine[i, c + 1] += sheen * fg
-            shine[i, c + 2] += sheen * fb
+        if side < _0:
+            r, g, b = lit * r * tr, lit * g * tg, lit * b * tb
         else:
-            r, g, b = r + fr, g + fg, b + fb
+            rise = glossy_rise(cosine, roughness)
+            fr, fg, fb = r * (f0r + rise * (f90r - f0r)), g * (f0g + rise * (f90g - f0g)), b * (f0b + rise * (f90b - f0b))
+            r, g, b = lit * r * dr, lit * g * dg, lit * b * db
+            if roughness < WIDE:
+                shine[i, c] += sheen * fr
+                shine[i, c + 1] += sheen * fg
+                shine[i, c + 2] += sheen * fb
+            else:
+                r, g, b = r + fr, g + fg, b + fb
         out[i, c] += r
         out[i, c + 1] += g
         out[i, c + 2] += b
     set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b)
     glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
     dull = _THIRD * (dr + dg + db) if diffuse else _0
-    if not glossy + dull > _0:
+    through = _THIRD * (tr + tg + tb)
+    whole = glossy + dull + through
+    if not whole > _0:
         return sx, sy, sz, _0, _0, _0, 0
-    chance = glossy / (glossy + dull)
+    chance = glossy / whole
     u1, u2 = uniform(seed, path, at, 6), uniform(seed, path, at, 7)
     kinds = GLOSSY
-    if uniform(seed, path, at, 4) < chance:
+    pick = uniform(seed, path, at, 4)
+    if pick < chance:
         dx, dy, dz, r, g, b, _ = sample_lobe(lobe, u1, u2)
+    elif through > _0 and pick * whole < glossy + through:
+        gx, gy, gz = -gx, -gy, -gz
+        lx, ly, lz = cosine_hemisphere(u1, u2)
+        dx, dy, dz = to_world(lx, ly, lz, -sx, -sy, -sz)
+        r, g, b = tr, tg, tb
+        chance = through / whole
+        kinds = TRANSMISSION
     else:
         lx, ly, lz = cosine_hemisphere(u1, u2)
         dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
         lit = shadowing(tilt, gx * dx + gy * dy + gz * dz)
         r, g, b = lit * dr, lit * dg, lit * db
-        chance = _1 - chance
+        chance = _1 - chance if not through > _0 else dull / whole
         kinds = DIFFUSE
     if not max(r, g, b) > _0 or gx * dx + gy * dy + gz * dz <= _0:
         kinds = 0
@@ -182,7 +202,7 @@ def _tail_chunk(scene, cache, near, points, begin, end, bounces, seed, out):
         path_light(
             scene, packet, rows, surface, lobe, cache, near, points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
-            points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], bounces, seed, np.uint32(i),
+            points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], bounces + is_transmitting(points, i), seed, np.uint32(i),
             out, i, weight, weight, weight, _1, _1,
         )  # fmt: skip
 
@@ -196,7 +216,7 @@ def tail_light(
     cache: LightCache | None = None,
     near: float = np.inf,
 ) -> np.ndarray:
-    """One sample of `path_light` at each of N points towards their viewers, (N, 3 G) float32 W/m^2."""
+    """One sample of `path_light` at each of N points towards their viewers, (N, 3 G) float32 W/m^2; one bounce more where it comes through."""
     out = scene.emitters.no_light(len(points.pixel))
     cache = no_cache() if cache is None else cache
 

@@ -22,8 +22,10 @@ from .layout import (
     LAYER_ROUGHNESS,
     LAYER_Z,
     LAYERED,
+    LAYERED_TRANSLUCENCY,
     REFRACTION,
     ROUGHNESS,
+    TRANSLUCENCY,
     TRANSPARENCY,
 )
 
@@ -39,6 +41,14 @@ def add(surface, at, wr, wg, wb, r, g, b):
     surface[at] += wr * max(r, F(0))
     surface[at + 1] += wg * max(g, F(0))
     surface[at + 2] += wb * max(b, F(0))
+
+
+@inlined
+def translucent(surface, r, g, b, layered, wr, wg, wb):
+    """Diffuse transmission with the colour (r, g, b); layered: whether it lies under the dielectric lobe of the same surface."""
+    add(surface, TRANSLUCENCY, wr, wg, wb, r, g, b)
+    if layered:
+        surface[LAYERED_TRANSLUCENCY] += wr * max(r, F(0)) + wg * max(g, F(0)) + wb * max(b, F(0))
 
 
 @inlined
@@ -258,10 +268,24 @@ def finish(surface):
         surface[LAYER_MULTIPLE] /= covered
     else:
         surface[LAYER_F0] = surface[LAYER_Z] = surface[LAYER_ROUGHNESS] = surface[LAYER_MULTIPLE] = F(0)
+    if surface[LAYERED_TRANSLUCENCY] > F(0):
+        surface[LAYERED_TRANSLUCENCY] /= surface[TRANSLUCENCY] + surface[TRANSLUCENCY + 1] + surface[TRANSLUCENCY + 2]
     glossy_weight = F(0)
     for k in range(6):
         glossy_weight += surface[GLOSSY_F0 + k]
     surface[ROUGHNESS] = surface[ROUGHNESS] / glossy_weight if glossy_weight > F(0) else F(0)
 
 
-__all__ = ["DIFFUSE", "EMISSION", "TRANSPARENCY", "add", "coat", "dielectric_over_diffuse", "finish", "glass", "glossy", "metal"]
+__all__ = [
+    "DIFFUSE",
+    "EMISSION",
+    "TRANSPARENCY",
+    "add",
+    "coat",
+    "dielectric_over_diffuse",
+    "finish",
+    "glass",
+    "glossy",
+    "metal",
+    "translucent",
+]

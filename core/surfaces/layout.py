@@ -1,7 +1,8 @@
 """The surface: the floats that describe what a material is at one point, and what is read from them.
 
 One surface sums all closures of a node tree.  Reflectances are albedos (0..1), `EMISSION` is radiance in
-W/m^2/sr, `TRANSPARENCY` the share of light that goes straight through.  The diffuse albedo depends on
+W/m^2/sr, `TRANSPARENCY` the share of light that goes straight through, `TRANSLUCENCY` that which leaves the
+other side spread as by a diffuse reflection.  The diffuse albedo depends on
 the view where a dielectric lobe lies on top of it (see `ggx`): the part `LAYERED` of `DIFFUSE` is
 covered by the lobe that the four `LAYER_*` numbers describe.  Where a mix holds several such lobes the
 four are their means, weighted by what they cover.
@@ -11,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined
+from ..jit import inlined, leaf
 from . import ggx
 
 F = np.float32
@@ -30,7 +31,9 @@ ROUGHNESS = 22  # of the glossy lobes, weighted by their albedo
 NORMAL = 23  # xyz: world-space shading normal of a NORMAL_MAPPED material, else zeros
 REFRACTION = 26  # rgb: the part of TRANSPARENCY that passes glass, which is a bounce to Cycles
 TILT = 29  # |cosine| of NORMAL and the surface's own, by which bumps shadow diffuse light (see `bumps`); 0 for no shadowing
-SURFACE = 30  # length
+TRANSLUCENCY = 30  # rgb: diffuse transmittance, the same from both sides, before the dielectric lobe takes its share
+LAYERED_TRANSLUCENCY = 33  # the part (0..1) of TRANSLUCENCY under a dielectric lobe
+SURFACE = 34  # length
 
 # Lobes at least as rough spread light about as a diffuse one does.
 WIDE = F(0.5)
@@ -60,6 +63,26 @@ def diffuse_albedo_average(surface):
         surface[DIFFUSE + 1] - share * surface[LAYERED + 1],
         surface[DIFFUSE + 2] - share * surface[LAYERED + 2],
     )
+
+
+@leaf
+def translucency(surface, cosine):
+    """Diffuse transmittance (r, g, b) of light from behind for a view at `cosine` (0..1): to Cycles a part of its Diffuse Color pass."""
+    kept = F(1)
+    if surface[LAYERED_TRANSLUCENCY] > F(0):
+        share = ggx.layer_albedo(surface[LAYER_F0], surface[LAYER_Z], surface[LAYER_ROUGHNESS], surface[LAYER_MULTIPLE], cosine)
+        kept -= min(max(share, F(0)), F(1)) * surface[LAYERED_TRANSLUCENCY]
+    return kept * surface[TRANSLUCENCY], kept * surface[TRANSLUCENCY + 1], kept * surface[TRANSLUCENCY + 2]
+
+
+@leaf
+def translucency_average(surface):
+    """Diffuse transmittance (r, g, b), the mean of `translucency` over the cosine-weighted hemisphere."""
+    kept = F(1)
+    if surface[LAYERED_TRANSLUCENCY] > F(0):
+        share = ggx.layer_albedo_mean(surface[LAYER_F0], surface[LAYER_Z], surface[LAYER_ROUGHNESS], surface[LAYER_MULTIPLE])
+        kept -= min(max(share, F(0)), F(1)) * surface[LAYERED_TRANSLUCENCY]
+    return kept * surface[TRANSLUCENCY], kept * surface[TRANSLUCENCY + 1], kept * surface[TRANSLUCENCY + 2]
 
 
 @inlined
@@ -92,10 +115,10 @@ def passing_chance(surface):
 
 @inlined
 def largest_kept(surface):
-    """Bound on the largest channel of the albedo, diffuse and glossy together; at least 1 for a surface that shines."""
+    """Bound on the largest channel of what is scattered, diffuse and glossy together; at least 1 for a surface that shines."""
     kept = F(0)
     for c in range(3):
-        kept = max(kept, surface[DIFFUSE + c] + max(surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c]))
+        kept = max(kept, surface[DIFFUSE + c] + surface[TRANSLUCENCY + c] + max(surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c]))
         if surface[EMISSION + c] > F(0):
             kept = max(kept, F(1))
     return kept

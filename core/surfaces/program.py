@@ -61,7 +61,9 @@ MEAN_VIEW = 2.0
     # -- bumps --
     DISPLACED,  # attribute slot p at (u + a.x, v + a.y)
     FOOTPRINT,  # size of a pixel at the world position a (m)
-) = range(29)
+    # -- light from behind --
+    TRANSLUCENT_CLOSURE,  # colour a, p: under the dielectric lobe; d is the weight
+) = range(30)
 
 
 @kernel
@@ -207,6 +209,8 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
             x, y, z, w = _attribute(attributes, p, triangle, u + ax, v + ay)
         elif op == FOOTPRINT:
             x = y = z = footprint.pixel_size(rows[REGISTERS, 0], rows[REGISTERS, 1], rows[REGISTERS, 2], rows[REGISTERS, 3], ax, ay, az)
+        elif op == TRANSLUCENT_CLOSURE:
+            closures.translucent(surface, ax, ay, az, p, dx, dy, dz)
         rows[destination, 0], rows[destination, 1], rows[destination, 2], rows[destination, 3] = x, y, z, w
         at += 1
     closures.finish(surface)

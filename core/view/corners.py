@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..threads import Progress, run_chunks
-from ..transport import Transport
+from ..transport import Transport, is_translucent
 from .points import ShadingPoints
 from .texels import ALBEDO, EMITTED, LAYERS, NORMALS, POSITION, Texels, shade_rows
 
@@ -35,7 +35,7 @@ def view_corners(
     state, layers = np.zeros(corners, np.uint8), np.zeros((corners, LAYERS), np.float32)
 
     def work(begin, end):
-        room = ShadingPoints.allocate((end - begin) * samples)
+        room = ShadingPoints.allocate((end - begin) * samples * (1 + is_translucent(scene)))
         inside = np.repeat(found[begin:end, None], samples, axis=1)
         n, rays = shade_rows(
             scene, triangles, footprint, inside, weights[begin:end], begin, 1, np.uint32(seed), materials, room, state, layers

@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import inlined, kernel
 from ..surfaces.layout import glossy_rise
 
 SPREAD = 3  # further places of a point on its surface
+GRAZING = np.float32(-1e-6)  # rounding of the cosine with which a viewer sees the side that is lit
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -18,10 +19,11 @@ class ShadingPoints(NamedTuple):
     """N points on surfaces, in the order in which rays from them are coherent.
 
     position: (N, 3) float32.  error: (N,) float32, radius of the rounding error of the position (m).
-    ng, ns: (N, 3) float32, unit geometric and shading normals, on the side of the viewer.
+    ng, ns: (N, 3) float32, unit geometric and shading normals, on the side that is lit: that of the viewer, or, of a point for the light
+        that a translucent surface lets through, the other one.
     pixel: (N,) int32, row-major over the border.  triangle: (N,) int32.
-    albedo: (N, 3) float32, diffuse albedo times the share of the pixel: the pixel's diffuse radiance is the
-        sum of albedo * irradiance / pi over its points.
+    albedo: (N, 3) float32, diffuse albedo, or transmittance of light from the other side, times the share of the pixel: the pixel's
+        diffuse radiance is the sum of albedo * irradiance / pi over its points.
     wo: (N, 3) float32, unit, towards the viewer.
     f0, f90: (N, 3), roughness: (N,) float32, Schlick's glossy lobe (f0 and f90 times the share of the pixel).
     behind_glass: (N,) uint8, 1 where the view passes glass: the pixel shows all light of the point as transmitted light.
@@ -67,6 +69,12 @@ class ShadingPoints(NamedTuple):
         if not parts:
             return ShadingPoints.allocate(0)
         return ShadingPoints(*(np.concatenate(arrays) for arrays in zip(*parts)))
+
+
+@inlined
+def is_transmitting(points, i):
+    """Whether point i is lit on the side that its viewer does not see."""
+    return points.ng[i, 0] * points.wo[i, 0] + points.ng[i, 1] * points.wo[i, 1] + points.ng[i, 2] * points.wo[i, 2] < GRAZING
 
 
 def shares(points: ShadingPoints, wide: float | None = None) -> np.ndarray:

@@ -19,7 +19,7 @@ from ..jit import kernel, leaf
 from ..lamps.groups import LightGroups
 from ..rays.packet import WIDTH, new_packet
 from ..sampling.hashing import uniform
-from ..scene import CAMERA, Scene
+from ..scene import CAMERA, TRANSLUCENT, Scene
 from ..surfaces.layout import SURFACE
 from ..surfaces.program import new_registers, with_viewer
 from ..threads import Progress, run_chunks
@@ -37,6 +37,7 @@ from .tile import (
     G_F0,
     G_F90,
     G_ROUGHNESS,
+    G_TRANSLUCENCY,
     GLASS,
     MEAN_NORMALS,
     MEMBERS,
@@ -119,6 +120,65 @@ def _add(camera, materials, geometry, world, world_visibility, world_group, pixe
         )  # fmt: skip
 
 
+@leaf
+def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n_points):
+    """Makes shading points of the surfaces that a pixel of the tile shows; how many there are then.
+
+    number: of the pixel in the full frame.  transmitted: they are lit from the side that is not seen, and have no lobes.
+    member: (R,) int32, scratch.
+    """
+    sample, group = tile.sample[lane], tile.group[lane]
+    triangles = tile.hits.view(np.int32)
+    share = np.float32(1.0) / np.float32(tile.taken[lane])
+    side, lobe = np.float32(1.0), share
+    albedo, upto = G_ALBEDO, G_ROUGHNESS
+    if transmitted:
+        side, lobe = np.float32(-1.0), np.float32(0.0)
+        albedo, upto = G_TRANSLUCENCY, G_TRANSLUCENCY + 3
+    for k in range(tile.groups[lane]):
+        sent = np.float32(0.0)
+        for c in range(albedo, upto):
+            sent += group[k, c]
+        if not sent > 0:  # black: no light would show
+            continue
+        # A member drawn at random stands for all: right in the mean, however steeply the light varies in the pixel.
+        members = np.int64(group[k, MEMBERS])
+        drawn = np.int64(uniform(seed, number, k, 1) * group[k, MEMBERS])
+        n = 0
+        for s in range(tile.taken[lane]):
+            if tile.group_of[lane, s] == k:
+                member[n] = s
+                n += 1
+        for s in range(most, tile.count[lane]):
+            if tile.group_of[lane, s] == k:
+                member[n] = s
+                n += 1
+        chosen = min(drawn, members - 1)
+        best = member[chosen]
+        i = n_points
+        n_points += 1
+        for c in range(3):
+            points.position[i, c] = sample[best, PLACE + c]
+            points.ng[i, c] = side * sample[best, FACING + c]
+            points.ns[i, c] = side * sample[best, SHADED + c]
+            points.wo[i, c] = -tile.direction[lane, best, c]
+            points.albedo[i, c] = share * group[k, albedo + c]
+            points.f0[i, c] = lobe * group[k, G_F0 + c]
+            points.f90[i, c] = lobe * group[k, G_F90 + c]
+        points.error[i] = sample[best, ERROR]
+        for j in range(SPREAD):
+            other = member[(chosen + (j + 1) * members // (SPREAD + 1)) % members]
+            points.error[i] = max(points.error[i], sample[other, ERROR])
+            for c in range(3):
+                points.spread[i, j, c] = sample[other, PLACE + c] - sample[best, PLACE + c]
+        points.pixel[i] = pixel
+        points.triangle[i] = triangles[lane, best, 0]
+        points.roughness[i] = group[k, G_ROUGHNESS] / group[k, MEMBERS]
+        points.behind_glass[i] = tile.glass[lane, best] > 0
+        points.tilt[i] = np.float32(0.0) if transmitted else sample[best, TILTED]
+    return n_points
+
+
 @kernel
 def _view_tiles(
     rays, camera, film, materials, geometry, lamps, world, world_visibility, world_group, begin, end, least, most, seed, points, layers
@@ -131,6 +191,9 @@ def _view_tiles(
     Returns the number of points and of rays.
     """
     light_groups = (layers.shape[1] - EMITTED) // (3 * GLASS)
+    translucent = False
+    for flags in materials.flags:
+        translucent = translucent or flags & TRANSLUCENT != 0
     x0, y0, x1, y1 = camera.border[0], camera.border[1], camera.border[2], camera.border[3]
     # Tiles lie on the full frame: what varies beside a pixel is the same for any border.
     left, top = x0 // TILE, y0 // TILE
@@ -139,7 +202,6 @@ def _view_tiles(
     surface = np.zeros(SURFACE, np.float32)
     rows = new_registers(materials)
     tile = new_tile(most, light_groups)
-    triangles = tile.hits.view(np.int32)
     near_lamps = np.empty(len(lamps.kind), np.int32)
     lanes, ends, panes = np.empty((WIDTH, 2), np.int32), np.empty(WIDTH, np.int32), np.empty(WIDTH, np.int32)
     member = np.empty((1 + PANES) * most, np.int32)
@@ -199,7 +261,7 @@ def _view_tiles(
                 continue
             pixel = (py - y0) * (x1 - x0) + (px - x0)
             share = np.float32(1.0) / np.float32(tile.taken[lane])
-            out, sample, group = layers[pixel], tile.sample[lane], tile.group[lane]
+            out, sample = layers[pixel], tile.sample[lane]
             for column in range(out.shape[0]):
                 out[column] = share * tile.out[lane, column]
             for before in range(GLASS):
@@ -213,47 +275,13 @@ def _view_tiles(
             for c in range(3):
                 out[NORMALS + c], out[POSITION + c] = sample[nearest, SHADED + c], sample[nearest, PLACE + c]
             out[DEPTH] = tile.depth[lane, nearest]
-            for k in range(tile.groups[lane]):
-                reflected = np.float32(0.0)
-                for c in range(G_ALBEDO, G_ROUGHNESS):
-                    reflected += group[k, c]
-                if not reflected > 0:  # black: no light would show
-                    continue
-                # A member drawn at random stands for all: right in the mean, however steeply the light varies in the pixel.
-                members = np.int64(group[k, MEMBERS])
-                drawn = np.int64(uniform(seed, py * camera.size[0] + px, k, 1) * group[k, MEMBERS])
-                n = 0
-                for s in range(tile.taken[lane]):
-                    if tile.group_of[lane, s] == k:
-                        member[n] = s
-                        n += 1
-                for s in range(most, tile.count[lane]):
-                    if tile.group_of[lane, s] == k:
-                        member[n] = s
-                        n += 1
-                chosen = min(drawn, members - 1)
-                best = member[chosen]
-                i = n_points
-                n_points += 1
-                for c in range(3):
-                    points.position[i, c] = sample[best, PLACE + c]
-                    points.ng[i, c] = sample[best, FACING + c]
-                    points.ns[i, c] = sample[best, SHADED + c]
-                    points.wo[i, c] = -tile.direction[lane, best, c]
-                    points.albedo[i, c] = share * group[k, G_ALBEDO + c]
-                    points.f0[i, c] = share * group[k, G_F0 + c]
-                    points.f90[i, c] = share * group[k, G_F90 + c]
-                points.error[i] = sample[best, ERROR]
-                for j in range(SPREAD):
-                    other = member[(chosen + (j + 1) * members // (SPREAD + 1)) % members]
-                    points.error[i] = max(points.error[i], sample[other, ERROR])
-                    for c in range(3):
-                        points.spread[i, j, c] = sample[other, PLACE + c] - sample[best, PLACE + c]
-                points.pixel[i] = pixel
-                points.triangle[i] = triangles[lane, best, 0]
-                points.roughness[i] = group[k, G_ROUGHNESS] / group[k, MEMBERS]
-                points.behind_glass[i] = tile.glass[lane, best] > 0
-                points.tilt[i] = sample[best, TILTED]
+        for turn in range(2 if translucent else 1):
+            # Light from the other side comes last: neighbours that are lit from one side follow each other.
+            for lane in range(WIDTH):
+                px, py = tx + lane % TILE, ty + lane // TILE
+                if px >= x0 and px < x1 and py >= y0 and py < y1:
+                    pixel = (py - y0) * (x1 - x0) + (px - x0)
+                    n_points = _shade(tile, lane, most, seed, py * camera.size[0] + px, pixel, turn == 1, member, points, n_points)
     return n_points, n_rays
 
 
@@ -279,8 +307,10 @@ def view(
     offsets = film.offsets()
     seen_by = scene.world.visibility & ~CAMERA if film.transparent else scene.world.visibility
 
+    sides = 2 if (scene.materials.tables.flags & TRANSLUCENT).any() else 1
+
     def work(begin, end):
-        room = ShadingPoints.allocate((end - begin) * WIDTH * (1 + PANES) * most)
+        room = ShadingPoints.allocate((end - begin) * WIDTH * (1 + PANES) * most * sides)
         n, n_rays = _view_tiles(
             rays, camera, offsets, with_viewer(scene), geometry, lamps, world, seen_by, groups.world,
             begin, end, least, most, np.uint32(seed), room, layers,

@@ -3,6 +3,9 @@
 A texel's value is the mean over its square, as a pixel's is: stratified samples in UV space, each of them a shading point, for next
 to walls light varies steeply within a texel.  Samples that nobody can see are left out, so that no dark creeps out from under a wall:
 those inside closed or touching geometry, and those that a wall parts from the middle of their texel.
+
+A translucent surface is lit from both sides: its texels hold the irradiance that, times its whole colour, gives the light that it sends,
+which is the mean of both sides by their shares of the colour.  (So does Cycles' bake of Diffuse without Color.)
 """
 
 from __future__ import annotations
@@ -19,13 +22,13 @@ from ..rays.trace import OPAQUE, intersect_packet, occluded_packet
 from ..sampling.hashing import hash_combine
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..sampling.sequences import r2
-from ..scene import DIFFUSE, NORMAL_MAPPED
+from ..scene import DIFFUSE, NORMAL_MAPPED, TRANSLUCENT
 from ..surfaces.bumps import mean_shadowing
-from ..surfaces.layout import EMISSION, NORMAL, SURFACE, TILT, diffuse_albedo_average
+from ..surfaces.layout import EMISSION, NORMAL, SURFACE, TILT, diffuse_albedo_average, translucency_average
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..threads import Progress, run_chunks
-from ..transport import Transport
+from ..transport import Transport, is_translucent
 from .camera import pixel_sample
 from .points import ShadingPoints
 from .tile import SAME_NORMAL
@@ -68,7 +71,8 @@ class Charts(NamedTuple):
 class Texels:
     """What a lightmap shows before any light.
 
-    points: the shading points, whose `pixel` counts row-major over H x W and whose `albedo` is their share of the texel, grey.
+    points: the shading points, whose `pixel` counts row-major over H x W and whose `albedo` is their share of the texel, grey but where
+        a translucent surface has one on either side.
     state: (H, W) uint8, EMPTY, HIDDEN or LIT.  albedo (averaged over all views), emission, normal, position: (H, W, 3) float32,
         means over the samples; albedo and emission are zero unless asked for.
     rays: traced to find what is hidden.
@@ -232,11 +236,27 @@ def _cosine(normals, i, j):
     return normals[i, 0] * normals[j, 0] + normals[i, 1] * normals[j, 1] + normals[i, 2] * normals[j, 2]
 
 
+@leaf
+def _add_other_side(points, i, share, r, g, b, tr, tg, tb):
+    """Makes point i the other side of the one before it, a translucent surface with the albedo (r, g, b) and the transmittance t."""
+    j = i - 1
+    for c in range(3):
+        albedo = r if c == 0 else g if c == 1 else b
+        through = tr if c == 0 else tg if c == 1 else tb
+        through = share * through / (albedo + through) if through > _0 else _0
+        points.albedo[i, c], points.albedo[j, c] = through, share - through
+        points.position[i, c], points.wo[i, c] = points.position[j, c], points.wo[j, c]
+        points.ng[i, c], points.ns[i, c] = -points.ng[j, c], -points.ns[j, c]
+        points.f0[i, c] = points.f90[i, c] = _0
+    points.error[i], points.roughness[i] = points.error[j], points.roughness[j]
+    points.pixel[i], points.triangle[i] = points.pixel[j], points.triangle[j]
+
+
 @kernel
 def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, materials, points, state, layers):
     """Points and layers of the texels whose samples are given (as by `cover`); the numbers of points and rays.
 
-    materials: whether to read albedo and emission.
+    materials: whether to read albedo and emission.  points: room for one a sample, for two where there are translucent materials.
     """
     samples = found.shape[1]
     packet = new_packet()
@@ -275,7 +295,8 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
             sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
             material = scene.material[triangle]
             mapped = scene.materials.flags[material] & NORMAL_MAPPED
-            if materials or mapped:
+            translucent = scene.materials.flags[material] & TRANSLUCENT
+            if materials or mapped or translucent:
                 evaluate(scene.materials, material, scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
             if mapped:
                 sx, sy, sz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
@@ -283,11 +304,14 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
                 sx, sy, sz = -sx, -sy, -sz
             tilt = surface[TILT] if mapped else _0
             lit = mean_shadowing(tilt)
+            tr = tg = tb = _0
+            if translucent:
+                tr, tg, tb = translucency_average(surface)
             if materials:
                 r, g, b = diffuse_albedo_average(surface)
-                out[ALBEDO] += share * r
-                out[ALBEDO + 1] += share * g
-                out[ALBEDO + 2] += share * b
+                out[ALBEDO] += share * (r + tr)
+                out[ALBEDO + 1] += share * (g + tg)
+                out[ALBEDO + 2] += share * (b + tb)
             for c in range(3):
                 if materials:
                     out[EMITTED + c] += share * surface[EMISSION + c]
@@ -303,6 +327,10 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
             points.error[n_points], points.roughness[n_points], points.tilt[n_points] = at.error[s], _1, tilt
             points.pixel[n_points], points.triangle[n_points] = texel, triangle
             n_points += 1
+            if tr + tg + tb > _0:
+                r, g, b = diffuse_albedo_average(surface)
+                _add_other_side(points, n_points, share, r, g, b, tr, tg, tb)
+                n_points += 1
     return n_points, rays
 
 
@@ -332,7 +360,7 @@ def view_texels(
         texels = (end - begin) * width
         found, weights = np.empty((texels, samples), np.int32), np.empty((texels, samples, 2), np.float32)
         cover(charts.uv, begin, end, width, samples, np.uint32(seed), found, weights)
-        room = ShadingPoints.allocate(int((found >= 0).sum()))
+        room = ShadingPoints.allocate(int((found >= 0).sum()) * (1 + is_translucent(scene)))
         n, rays = shade_rows(
             scene, charts.triangle, footprint, found, weights, begin, width, np.uint32(seed), materials, room, state, layers
         )

@@ -20,7 +20,7 @@ from ..rays.offsets import hit_point
 from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, set_ray
 from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import uniform
-from ..scene import CAMERA, NORMAL_MAPPED, TRANSMISSION, TRANSPARENT
+from ..scene import CAMERA, NORMAL_MAPPED, TRANSLUCENT, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import (
@@ -34,6 +34,7 @@ from ..surfaces.layout import (
     TRANSPARENCY,
     diffuse_albedo,
     largest_kept,
+    translucency,
 )
 from ..surfaces.normals import shading_normal
 from ..surfaces.program import evaluate, reflected_view
@@ -59,7 +60,7 @@ GLASS = 3  # kinds of what is emitted: behind no glass, one surface of it, and m
 SHOWN, STRAIGHT, REFRACTED = 1, 2, 4
 # Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
 PLACE, ERROR, FACING, SHADED, TILTED = 0, 3, 4, 7, 10
-MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS = 0, 1, 4, 7, 10
+MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY = 0, 1, 4, 7, 10, 11
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _THIRD = np.float32(1 / 3)
@@ -75,9 +76,9 @@ class Tile(NamedTuple):
     depth: (16, R) float32 (m).  glass: (16, R) int32, surfaces of glass before it.
     lamps: (16, GLASS, G, 3) float32, light of the lamps in view, summed over the samples, by the surfaces of glass before it.
     out: (16, C) float32, sums of the pixels' layers.  nearest: (16,) int32, the row nearest to the camera, -1 for none.
-    sample: (16, R, 10) float32, position, its error, geometric and shading normal of each row.  group_of: (16, R) int32, which of the
+    sample: (16, R, 11) float32, position, its error, geometric and shading normal, tilt of each row.  group_of: (16, R) int32, which of the
     pixel's surfaces it shows, -1 for none.  groups: (16,) int32, how many there are.  first: (16, R) int32, the first row of each.
-    group: (16, R, 11) float32, rows of each, sums of albedo, f0, f90 and roughness.
+    group: (16, R, 14) float32, rows of each, sums of albedo, f0, f90, roughness and translucency.
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
     origin: (16, 3), passed: (16,) float32, of the rays of a packet.
     """
@@ -111,7 +112,7 @@ def new_tile(samples, light_groups):
         np.zeros(WIDTH, i), np.zeros(WIDTH, i), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f),
         np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), i), np.empty((WIDTH, GLASS, light_groups, 3), f),
         np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, 11), f),
-        np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, 11), f),
+        np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, 14), f),
         np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f),
     )  # fmt: skip
 
@@ -351,10 +352,14 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
                 gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
             ar, ag, ab = diffuse_albedo(surface, cosine)
             ar, ag, ab = ar * wr, ag * wg, ab * wb
+            tr = tg = tb = _0
+            if materials.flags[material[triangle]] & TRANSLUCENT:
+                tr, tg, tb = translucency(surface, cosine)
+                tr, tg, tb = tr * wr, tg * wg, tb * wb
             if not behind_glass:
-                out[ALBEDO] += ar
-                out[ALBEDO + 1] += ag
-                out[ALBEDO + 2] += ab
+                out[ALBEDO] += ar + tr
+                out[ALBEDO + 1] += ag + tg
+                out[ALBEDO + 2] += ab + tb
                 part = (wr + wg + wb) * _THIRD
                 out[MEAN_NORMALS] += part * sx
                 out[MEAN_NORMALS + 1] += part * sy
@@ -398,6 +403,10 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             group[k, G_F90 + 1] += fg
             group[k, G_F90 + 2] += fb
             group[k, G_ROUGHNESS] += surface[ROUGHNESS]
+            group[k, G_TRANSLUCENCY] += tr
+            group[k, G_TRANSLUCENCY + 1] += tg
+            group[k, G_TRANSLUCENCY + 2] += tb
+            ar, ag, ab = ar + tr, ag + tg, ab + tb
             seen = ar + ag + ab + er + eg + eb + surface[GLOSSY_F0] * wr + surface[GLOSSY_F0 + 1] * wg + surface[GLOSSY_F0 + 2] * wb
         if s < most:
             tile.sums[pixel, 0] += seen

@@ -7,7 +7,7 @@ from itertools import chain
 import numpy as np
 
 from ...core import scene as sc
-from ...core.surfaces.layout import DIFFUSE, EMISSION, GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE
+from ...core.surfaces.layout import DIFFUSE, EMISSION, GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TRANSLUCENCY
 from ...core.surfaces.program import ATTRIBUTE, DIFFUSE_CLOSURE, END, REGISTERS, TEXTURE, empty_tables
 from ...core.surfaces.textures import LINEAR, REPEAT, TexturePool
 
@@ -31,6 +31,15 @@ def glossy_materials(*surfaces, albedo, roughness) -> sc.Materials:
     stuff.tables.constant[:, GLOSSY_F0 : GLOSSY_F0 + 3] = stuff.tables.constant[:, GLOSSY_F90 : GLOSSY_F90 + 3] = albedo
     stuff.tables.constant[:, ROUGHNESS] = roughness
     stuff.tables.flags[:] |= sc.GLOSSY_LOBE
+    return stuff
+
+
+def translucent_materials(*surfaces, transmittance) -> sc.Materials:
+    """`materials`, each of which lets light through diffusely where its transmittance (one of each, a number or rgb) is above 0."""
+    stuff = materials(*surfaces)
+    for i, value in enumerate(transmittance):
+        stuff.tables.constant[i, TRANSLUCENCY : TRANSLUCENCY + 3] = value
+        stuff.tables.flags[i] |= sc.TRANSLUCENT * bool(np.any(np.asarray(value) > 0))
     return stuff
 
 

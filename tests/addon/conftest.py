@@ -44,7 +44,12 @@ class Compared:
 
     @property
     def diffuse(self) -> np.ndarray:
-        return np.array([layout.diffuse_albedo(s, np.float32(self.cosine)) for s in self.surfaces])
+        """Reflected and transmitted, as Cycles' pass holds both."""
+        return np.array([layout.diffuse_albedo(s, np.float32(self.cosine)) for s in self.surfaces]) + self.translucency
+
+    @property
+    def translucency(self) -> np.ndarray:
+        return np.array([layout.translucency(s, np.float32(self.cosine)) for s in self.surfaces])
 
     @property
     def emission(self) -> np.ndarray:

@@ -1,8 +1,10 @@
 """Shader nodes against Cycles' Diffuse Color and Emission passes."""
 
+import bpy
 import numpy as np
 import pytest
 
+from lumigate.core import scene
 from lumigate.core.surfaces import layout
 
 ANGLES = (0.0, 0.6, 1.1, 1.35)
@@ -79,6 +81,40 @@ def test_single_shaders(grid, node):
     for name, got in grid.compare().items():
         np.testing.assert_allclose(got.diffuse, got.passes["DiffCol"], atol=0.008, err_msg=name)
         np.testing.assert_allclose(got.emission, got.passes["Emit"], atol=1e-5, err_msg=name)
+
+
+def test_a_translucent_shader_sends_light_of_its_other_side_alone(grid, node):
+    red = _shader(node, "ShaderNodeBsdfDiffuse", inputs={"Color": (0.9, 0.1, 0.1, 1)})
+    leaf = _shader(node, "ShaderNodeBsdfTranslucent", inputs={"Color": (0.2, 0.8, 0.4, 1)})
+
+    def weight(tree):
+        return node(tree, "ShaderNodeAttribute", attribute_name="Weight").outputs["Fac"]
+
+    grid.add("alone", _surface(node, "ShaderNodeBsdfTranslucent", inputs={"Color": (0.2, 0.8, 0.4, 1)}))
+    grid.add("mixed", _surface(node, "ShaderNodeMixShader", inputs={0: 0.25, 1: red, 2: leaf}))
+    grid.add("varied", _surface(node, "ShaderNodeMixShader", inputs={0: weight, 1: red, 2: leaf}))
+    grid.add("opaque", _surface(node, "ShaderNodeMixShader", inputs={0: 0.5, 1: red}))
+    compared = grid.compare()
+    for name, got in compared.items():
+        np.testing.assert_allclose(got.diffuse[MIDDLE], got.passes["DiffCol"][MIDDLE], atol=2e-3, err_msg=name)
+    np.testing.assert_allclose(compared["alone"].translucency[0], (0.2, 0.8, 0.4), atol=1e-6)
+    np.testing.assert_allclose(compared["mixed"].translucency[0], (0.05, 0.2, 0.1), atol=1e-6)
+    assert [bool(flags & scene.TRANSLUCENT) for flags in grid.flags] == [True, True, True, False]
+    assert grid.warnings == []
+
+
+@pytest.mark.skipif(bpy.app.version < (5, 2), reason="Blender 5.2 has thin walls")
+@pytest.mark.parametrize(("weight", "anisotropy"), [(1.0, 0.0), (0.5, 0.0), (1.0, 0.5), (0.7, -1.0)])
+def test_a_thin_wall_lets_through_what_would_scatter_below_it(grid, node, weight, anisotropy):
+    """Measured with Cycles 5.2: a lamp behind it lights (1 + g) / 2 of the subsurface share."""
+    inputs = {"Base Color": (0.8, 0.5, 0.2, 1), "Thin Wall": True, "Subsurface Weight": weight, "Subsurface Anisotropy": anisotropy}
+    for angle in ANGLES:
+        grid.add(f"it {angle}", _surface(node, "ShaderNodeBsdfPrincipled", inputs=inputs), angle)
+    for name, got in grid.compare().items():
+        colour = got.passes["DiffCol"][MIDDLE]
+        np.testing.assert_allclose(got.diffuse[MIDDLE], colour, atol=0.005, err_msg=name)
+        np.testing.assert_allclose(got.translucency[MIDDLE], 0.5 * weight * (1 + anisotropy) * colour, atol=0.005, err_msg=name)
+    assert grid.warnings == []
 
 
 def test_mixed_and_added_shaders(grid, node):

@@ -66,7 +66,14 @@ def principled(node: NodeInput, weight: Value) -> None:
         node.emit(ops.GLASS_CLOSURE, through, node.pack(roughness, ior), tint, share)
         weight = node.multiply(weight, node.complement(transmission))
         _warn_straight(node, "transmission")
-    if not _is(node["Subsurface Weight"], 0):
+    subsurface = node.clamp(node["Subsurface Weight"])
+    if node.has("Thin Wall") and _is(node["Thin Wall"], 1):
+        # Blender 5.2: what would scatter below the surface leaves either side of it.
+        through = node.multiply(subsurface, node.math_rgb("MULTIPLY_ADD", node["Subsurface Anisotropy"], scalar(0.5), scalar(0.5)))
+        if not _is(through, 0) and weight != ZERO:
+            node.emit(ops.TRANSLUCENT_CLOSURE, node.multiply(base, through), ZERO, ZERO, weight, p=1)
+            base = node.multiply(base, node.complement(through))
+    elif not _is(subsurface, 0):
         node.warn("subsurface scattering is treated as diffuse reflection with the base colour")
     if weight != ZERO:
         lobe = node.pack(roughness, ior, node["Specular IOR Level"])
@@ -82,9 +89,9 @@ def diffuse(node: NodeInput, weight: Value) -> None:
 
 @closure("ShaderNodeBsdfTranslucent")
 def translucent(node: NodeInput, weight: Value) -> None:
-    """Translucent BSDF: its light comes from behind in Cycles, from the front here."""
-    node.warn("a Translucent BSDF is lit from the front, as if it were diffuse")
-    node.emit(ops.DIFFUSE_CLOSURE, node["Color"], ZERO, ZERO, weight)
+    """Translucent BSDF: diffuse transmission."""
+    _normal(node)
+    node.emit(ops.TRANSLUCENT_CLOSURE, node["Color"], ZERO, ZERO, weight)
 
 
 @closure("ShaderNodeSubsurfaceScattering")
