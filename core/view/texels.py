@@ -244,7 +244,8 @@ def _add_other_side(points, i, share, r, g, b, tr, tg, tb):
         albedo = r if c == 0 else g if c == 1 else b
         through = tr if c == 0 else tg if c == 1 else tb
         through = share * through / (albedo + through) if through > _0 else _0
-        points.albedo[i, c], points.albedo[j, c] = through, share - through
+        points.albedo[i, c] = through
+        points.albedo[j, c] *= _1 - through / share
         points.position[i, c], points.wo[i, c] = points.position[j, c], points.wo[j, c]
         points.ng[i, c], points.ns[i, c] = -points.ng[j, c], -points.ns[j, c]
         points.f0[i, c] = points.f90[i, c] = _0
