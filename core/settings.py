@@ -86,7 +86,7 @@ class RenderSettings:
     """The request of one render; every field has the default of the command line.
 
     vpls: virtual point lights that the view uses.  bounces: diffuse bounces of the indirect light.
-    pixel_samples: primary samples a pixel.  direct_samples: shadow rays a shading point for `Direct`.
+    pixel_samples: primary samples a pixel, half as many where all is even and up to twice as many elsewhere.  direct_samples: shadow rays a shading point for `Direct`.
     reflections: most rays drawn from the glossy lobe of a shading point.
     direct_samples, reflections, denoise: None lets the method choose (see `with_defaults`).  time_budget: seconds;
     target_error: relMSE.  quality: a key of `QUALITY_ERRORS`, which `auto` takes for its target error where neither is given.
@@ -102,7 +102,13 @@ class RenderSettings:
     )
     seed: int = option(0, "Seed", "Seed of all random sequences: another one gives other noise")
     threads: int = option(0, "Threads", "Threads that compute, 0 for all cores", usual=64)
-    pixel_samples: int = option(16, "Pixel Samples", "Primary samples of a pixel, for its edges and textures", least=1, usual=64)
+    pixel_samples: int = option(
+        16,
+        "Pixel Samples",
+        "Primary samples of a pixel, for its edges and textures: half as many where all is even, up to twice as many elsewhere",
+        least=1,
+        usual=64,
+    )
     direct_samples: int | None = option(None, "Direct Samples", "Shadow rays of a shading point to the lamps", least=1, usual=64)
     reflections: int | None = option(None, "Reflections", "Most rays drawn from the glossy lobe of a shading point, 0 for none", usual=32)
     denoise: bool | None = option(
