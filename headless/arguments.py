@@ -326,7 +326,13 @@ def _add_render_settings(parser: Parser) -> None:
     default = RenderSettings()
     keep = {"default": argparse.SUPPRESS}
     _add_light_settings(parser)
-    add("--pixel-samples", type=count, metavar="P", **keep, help=f"primary samples a pixel (default: {default.pixel_samples})")
+    add(
+        "--pixel-samples",
+        type=count,
+        metavar="P",
+        **keep,
+        help=f"primary samples a pixel, half as many where all is even, up to twice as many elsewhere (default: {default.pixel_samples})",
+    )
     budget = parser.add_mutually_exclusive_group()
     budget.add_argument("--time-budget", type=positive, metavar="SECONDS", **keep, help="use as many samples as fit in this time")
     budget.add_argument("--target-error", type=positive, metavar="E", **keep, help="stop at this relMSE")

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import kernel, leaf
+from ..jit import kernel
 from ..lamps.direct import aimed_density, direct_light, expected_samples, passed, set_point_lobe
 from ..lamps.lookup import lamp_along, share_of
 from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, WORLD
@@ -22,6 +22,7 @@ from ..rays.packet import new_packet
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.sequences import sobol
 from ..scene import CONSTANT, EMISSIVE, GLOSSY, NORMAL_MAPPED, TRANSLUCENT
+from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import (
     DIFFUSE,
     EMISSION,
@@ -30,6 +31,7 @@ from ..surfaces.layout import (
     NORMAL,
     ROUGHNESS,
     SURFACE,
+    TILT,
     diffuse_albedo,
     glossy_albedo,
     translucency,
@@ -43,14 +45,12 @@ from ..transport import Transport
 from ..view.points import ShadingPoints
 from .light_cache import LightCache, add_known, find_cell, no_cache
 from .tails import tail_light
-from .wide_lobes import SharedRays, balance, bound, gather_density, is_wide, known_light, no_sharing
+from .wide_lobes import NARROW, SharedRays, balance, bound, gather_density, is_mirror, is_wide, known_light, no_sharing
 
 CHUNK = 512  # points a chunk
 BLOCK = 65536  # points whose reflections are followed together: bounds the memory
 MAX_REFLECTIONS = 32  # from mirror to mirror
 _SURE = 3  # reflections after which chance ends dim paths
-# Rougher surfaces that a reflection shows are lit as diffuse ones are.
-_NARROW = np.float32(0.35)
 # Shares of the narrow lobe in all that a surface reflects: beyond the first the cache, to which all is diffuse, does not know
 # what is seen; beyond the second the surface is a mirror to the denoiser's guide.
 _SHINY, _MIRROR = np.float32(0.5), np.float32(0.9)
@@ -99,12 +99,6 @@ def _lamps_along(
         shown[i, c] += wr * w * tr * emitters.radiance[e, 0]
         shown[i, c + 1] += wg * w * tg * emitters.radiance[e, 1]
         shown[i, c + 2] += wb * w * tb * emitters.radiance[e, 2]
-
-
-@leaf
-def _shared_light(cache, cell, c, carried, whole):
-    """`known_light` of a cell, or (whole = 0) only what is taken off it."""
-    return known_light(cache, cell, c, carried) if whole > _0 else -carried * cache.lit[cell, c]
 
 
 @kernel
@@ -175,9 +169,7 @@ def _reflect_chunk(
             nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, hx, hy, hz)
             behind = hx * dx + hy * dy + hz * dz > 0
             cosine = min(_1, abs(nx * dx + ny * dy + nz * dz))
-            narrow = (
-                surface[ROUGHNESS] < _NARROW and max(surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]) > NEGLIGIBLE
-            )
+            narrow = surface[ROUGHNESS] < NARROW and max(surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]) > NEGLIGIBLE
             if (narrow or flags & EMISSIVE) and not flags & CONSTANT:  # it may depend on the view
                 evaluate(
                     scene.materials,
@@ -205,6 +197,8 @@ def _reflect_chunk(
                 shown[i, c + 1] += share * wg * surface[EMISSION + 1]
                 shown[i, c + 2] += share * wb * surface[EMISSION + 2]
             ar, ag, ab = diffuse_albedo(surface, cosine)
+            shadowed = mean_shadowing(surface[TILT])
+            ar, ag, ab = shadowed * ar, shadowed * ag, shadowed * ab
             lr = lg = lb = _0
             if flags & TRANSLUCENT:
                 lr, lg, lb = translucency(surface, cosine)
@@ -213,11 +207,12 @@ def _reflect_chunk(
             if narrow:
                 fr, fg, fb = glossy_albedo(surface, cosine)
                 chance = (fr + fg + fb) / max(fr + fg + fb + ar + ag + ab + through, np.float32(1e-6))
-            if (chance < _SHINY or wide) and t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
+            shares = wide and not is_mirror(scene.materials, material)
+            if (chance < _SHINY or shares) and t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
                 cell = find_cell(
                     cache, px, py, pz, hx, hy, hz, surface_side(material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
                 )
-                if cell >= 0 and wide:
+                if cell >= 0 and shares:
                     across = max(_0, sx * dx + sy * dy + sz * dz)
                     part = balance(drawn, gather_density(shared.gather[i], across))
                     carried = _0
@@ -225,15 +220,11 @@ def _reflect_chunk(
                         clamped = min(_1, shared.g_max * t * t / max(across * abs(hx * dx + hy * dy + hz * dz), np.float32(1e-20)))
                         each = density * np.float32(n)
                         carried = clamped * bound(lobe, across, each * vr, each * vg, each * vb)
-                    wr, wg, wb = part * wr, part * wg, part * wb
-                    # A mirror is followed on: only what others carry of it is taken off.
-                    whole = _1 if chance < _SHINY else _0
                     for c in range(0, known.shape[1], 3):
-                        known[i, c] += wr * _INV_PI * _shared_light(cache, cell, c, carried, whole)
-                        known[i, c + 1] += wg * _INV_PI * _shared_light(cache, cell, c + 1, carried, whole)
-                        known[i, c + 2] += wb * _INV_PI * _shared_light(cache, cell, c + 2, carried, whole)
-                    if chance < _SHINY:
-                        continue
+                        known[i, c] += part * wr * _INV_PI * known_light(cache, cell, c, carried)
+                        known[i, c + 1] += part * wg * _INV_PI * known_light(cache, cell, c + 1, carried)
+                        known[i, c + 2] += part * wb * _INV_PI * known_light(cache, cell, c + 2, carried)
+                    continue
                 elif cell >= 0:
                     add_known(cache, row, cell, wr * _INV_PI, wg * _INV_PI, wb * _INV_PI, known, i)
                     continue

@@ -57,11 +57,11 @@ from ..vpl_pool import BATCH_SEED, Particles, vpl_pool
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
-from .light_cache import DEPTH, NEAR, LightCache, Probes, build_light_cache, find_cell, look_up
+from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, LightCache, Probes, build_light_cache, find_cell, look_up
 from .partition import strengths, trusted
 from .probes import Tracer, trace_farther, trace_probes
 from .tails import path_light
-from .wide_lobes import WIDE_ALPHA, SharedRays, bound, gather_density, is_wide, known_light
+from .wide_lobes import WIDE_ALPHA, SharedRays, bound, gather_density, is_mirror, is_wide, known_light
 
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
@@ -227,7 +227,7 @@ def _gathered(
                         out[k, c] += wr * (cache.radiosity[bounces, cell, c] - cache.radiosity[bounces - 1, cell, c])
                         out[k, c + 1] += wg * (cache.radiosity[bounces, cell, c + 1] - cache.radiosity[bounces - 1, cell, c + 1])
                         out[k, c + 2] += wb * (cache.radiosity[bounces, cell, c + 2] - cache.radiosity[bounces - 1, cell, c + 2])
-                if t > seen[lane, _REACH]:
+                if t > seen[lane, _REACH] and not is_mirror(scene.materials, scene.material[triangle]):
                     clamped *= seen[lane, _CARRIED]
                     for c in range(0, out.shape[1], 3):
                         shown[k, c] += tr * seen[lane, _WEIGHT] * known_light(cache, cell, c, clamped)
@@ -384,7 +384,7 @@ def _sample_lights_leaf(
                 owner[n], light[n], value[n], turn[n] = k, chosen + at * subsets, each, traced
                 parts[k, traced] = block
                 seen[n, 0] = -_1
-                if wide:
+                if wide and not is_mirror(scene.materials, vpls.side[light[n]] >> 1):
                     _reflect_light(points, vpls, k, light[n], lobe, max(near, cell / lobe[ALPHA]), seen[n])
                 traced += 1
                 n += 1
@@ -473,10 +473,10 @@ class ImportanceSampling:
         if own and focus:
             more = min(MOST_MORE, math.ceil(TELLING / max(1.0, _telling(probes))) - 1)
             if more > 0:
-                others, found = tracer(scene, points, more * paths, seed + 1, self.threads, part(progress, 0.4, 0.6))
+                others, found = tracer(scene, points, more * paths, seed + 1, self.threads, part(progress, 0.4, 0.58))
                 probes, rays = Probes.concatenate([probes, others]), rays + found
         if tracer is trace_probes:
-            others, found = trace_farther(scene, points, first, seed, self.threads)
+            others, found = trace_farther(scene, points, first, seed, self.threads, part(progress, 0.58, 0.6))
             probes, rays = Probes.concatenate([probes, others]), rays + found
         # Where the view's light comes from last: there the particles are wanted.
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
@@ -510,7 +510,8 @@ class ImportanceSampling:
         if not strength.max() > NEVER_STRONG:
             return
         lights = vpls.position[first], vpls.surface_normal[first], vpls.side[first]
-        trust = trusted(strength, *lights, self.cache.root, self.cache.centre, self.cache.side)
+        size = float(self.cache.size) * GROWTH ** (LEVELS - 1)
+        trust = trusted(strength, *lights, self.cache.root, self.cache.centre, self.cache.side, size)
         self.cache = self.cache._replace(lit=trust[:, None] * self.cache.lit, share=trust * self.cache.share, trust=trust)
 
     def prepare(

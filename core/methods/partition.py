@@ -60,12 +60,12 @@ def strengths(flux: np.ndarray, tau: float, places: np.ndarray) -> np.ndarray:
 
 def trusted(
     strength: np.ndarray, position: np.ndarray, normal: np.ndarray, side: np.ndarray, root: np.ndarray, centre: np.ndarray,
-    side_of: np.ndarray,
+    side_of: np.ndarray, size: float,
 ) -> np.ndarray:  # fmt: skip
     """How much of what lights could carry is left to them in each cell, (C,) float32: little where they are strong.
 
     strength, side (M,), position, normal (M, 3): of lights that left one surface, M > 0.  root: (C,), the coarsest cell around each, which
-    all share its trust.  centre: (C, 6), side_of: (C,), middles, normals and sides of the cells.
+    all share its trust.  centre: (C, 6), side_of: (C,), middles, normals and sides of the cells.  size: of the coarsest (m).
     """
     cells, of = np.unique(root, return_inverse=True)
     middle = centre[cells].astype(np.float64)
@@ -82,8 +82,9 @@ def trusted(
     # Lights that lie all on one side, far from the cell by how wide they lie, tell nothing of what lights there are in it, as round a corner.
     around = position.astype(np.float64)[near.reshape(len(cells), -1)]
     centroid = around.mean(axis=1)
-    away, wide = (((a - b) ** 2).sum(axis=-1) for a, b in ((centroid, middle[:, :3]), (around, centroid[:, None])))
-    strong *= np.minimum(1, ALIKE * wide.mean(axis=1) / np.maximum(away, 1e-30))
+    away = np.maximum(0, np.sqrt(((centroid - middle[:, :3]) ** 2).sum(axis=-1)) - size)
+    wide = size * size + ((around - centroid[:, None]) ** 2).sum(axis=-1).mean(axis=1)
+    strong *= np.minimum(1, ALIKE * wide / np.maximum(away * away, 1e-30))
     return (1 / (1 + strong**2)).astype(np.float32)[of]
 
 

@@ -39,7 +39,7 @@ _1 = np.float32(1.0)
 def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, turn):
     """One path from a visible point: up to `depth` probes from row `first` on, each with its link; the rays traced.
 
-    turn: paths that differ in it alone part after `DEPTH` probes.
+    turn: paths that differ in it alone part at the surface after `DEPTH` probes.
     """
     lx, ly, lz = cosine_hemisphere(uniform(seed, path, 0, 6), uniform(seed, path, 0, 7))
     dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)

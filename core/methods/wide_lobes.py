@@ -5,7 +5,7 @@ its lobe, too: of the light that a surface y sends to a point x from direction d
 (`importance_sampling`), but no more than `bound` of it, for their shadow rays are not drawn where the lobe is bright.  The rest is left to
 gather rays and rays from the lobe, by the balance heuristic (Veach & Guibas 1995).
 
-Surfaces nearer than the lobe's blur of a cell of the cache are left to the rays from the lobe alone.
+Surfaces nearer than the lobe's blur of a cell of the cache, and mirrors, whose light a cell does not know, are left to the rays from the lobe alone.
 """
 
 from __future__ import annotations
@@ -14,11 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import inlined
-from ..scene import DIFFUSE, GLOSSY
+from ..jit import inlined, leaf
+from ..scene import CONSTANT, DIFFUSE, GLOSSY
+from ..surfaces.layout import DIFFUSE as LAYOUT_DIFFUSE
+from ..surfaces.layout import GLOSSY_F0, ROUGHNESS
 from ..surfaces.lobes import ALBEDO, ALPHA
 
 WIDE_ALPHA = np.float32(0.1)  # of narrower lobes the other rays find next to nothing
+NARROW = np.float32(0.35)  # roughness of what shows more than a cell of the cache could tell
 MOST = np.float32(3.0)  # times a lobe's albedo, as a diffuse one: brighter directions are left to its own rays in part
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -45,6 +48,18 @@ def no_sharing(n: int) -> SharedRays:
 def sees_alike(visibility: np.ndarray) -> bool:
     """Whether rays of diffuse and of glossy light may meet the same objects, of a `visibility` (O,) each: else they cannot stand for each other."""
     return bool((((visibility & DIFFUSE) > 0) == ((visibility & GLOSSY) > 0)).all())
+
+
+@leaf
+def is_mirror(materials, material):
+    """Whether a material reflects mostly by a narrow lobe, wherever it is: of textured ones the cache's light is taken as it is."""
+    if not materials.flags[material] & CONSTANT or not materials.constant[material, ROUGHNESS] < NARROW:
+        return False
+    glossy = diffuse = _0
+    for c in range(3):
+        glossy += materials.constant[material, GLOSSY_F0 + c]
+        diffuse += materials.constant[material, LAYOUT_DIFFUSE + c]
+    return glossy > diffuse
 
 
 @inlined

@@ -418,7 +418,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
 
 @leaf
 def _varies(tile, pixel):
-    """Whether the samples of a pixel show several surfaces, a lamp's edge or a pattern."""
+    """Whether the samples of a pixel show several surfaces, a lamp or a pattern."""
     n = np.float32(tile.taken[pixel])
     if n == _0:
         return False

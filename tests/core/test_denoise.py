@@ -125,6 +125,12 @@ def test_thin_bright_things_do_not_get_brighter():
     after = before.copy()
     after[20, :, 0] = 40
     np.testing.assert_array_equal(dn._without_overshoot(before, after), before)
+    # A wide patch in the dark, of which few pixels have been lit, stays as smooth as it came out.
+    lit = np.zeros_like(before)
+    lit[8:32, 8:40] = 1
+    noisy = lit * (np.random.default_rng(1).random((40, 50, 1)) < 0.1).astype(np.float32) / np.float32(0.1)
+    smooth = 0.05 + 1.2 * lit
+    np.testing.assert_array_equal(dn._without_overshoot(noisy, smooth.copy())[14:26, 14:34], smooth[14:26, 14:34])
     # Few pixels have all the light: what is spread over the others is brighter than they are.
     sparse = np.zeros_like(before)
     sparse[::7, ::7] = 5

@@ -423,7 +423,7 @@ def test_cells_are_trusted_by_how_strong_the_lights_around_them_are():
         m = len(strength)
         sides = np.full(m, side) if np.isscalar(side) else side
         normals = np.broadcast_to(normal, (m, 3))
-        found = trusted(strength, position, normals, sides, root, centre, np.full(200, which))
+        found = trusted(strength, position, normals, sides, root, centre, np.full(200, which), 0.01)
         assert found.dtype == np.float32 and np.array_equal(found[:100], found[100:])
         return found[:100]
 

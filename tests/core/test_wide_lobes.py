@@ -9,6 +9,7 @@ from lumigate.core.methods.glossy import reflect
 from lumigate.core.methods.importance_sampling import ImportanceSampling
 from lumigate.core.methods.wide_lobes import sees_alike
 from lumigate.core.rays import RayScene
+from lumigate.core.surfaces.layout import DIFFUSE, GLOSSY_F0, ROUGHNESS
 from lumigate.core.transport import transport
 from lumigate.core.view.primary import view
 
@@ -58,6 +59,17 @@ def test_other_rays_find_the_same_light_for_a_wide_lobe_with_less_noise(room, ro
 
 def test_a_narrow_lobe_has_its_own_rays_only(room):
     np.testing.assert_array_equal(reflections(room, 0.1, False, 1), reflections(room, 0.1, True, 1))
+
+
+def test_what_mirrors_show_is_left_to_the_lobes_own_rays(room):
+    tables, points = room
+    constant = tables.materials.constant.copy()
+    constant[0, DIFFUSE : DIFFUSE + 3], constant[0, GLOSSY_F0 : GLOSSY_F0 + 3], constant[0, ROUGHNESS] = 0, 0.9, 0.1
+    mirrors = tables._replace(materials=tables.materials._replace(constant=constant))
+    dull = reflections(room, 0.7, True, 1)
+    shown = reflections((mirrors, points), 0.7, True, 1)
+    alone = reflections((mirrors, points), 0.7, False, 1)
+    assert dull.any() and np.array_equal(shown, alone)
 
 
 def test_what_either_kind_of_ray_alone_may_meet_is_not_shared():
