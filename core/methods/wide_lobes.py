@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import inlined, leaf
+from ..jit import inlined
 from ..scene import CONSTANT, DIFFUSE, GLOSSY
 from ..surfaces.layout import DIFFUSE as LAYOUT_DIFFUSE
 from ..surfaces.layout import GLOSSY_F0, ROUGHNESS
@@ -50,7 +50,7 @@ def sees_alike(visibility: np.ndarray) -> bool:
     return bool((((visibility & DIFFUSE) > 0) == ((visibility & GLOSSY) > 0)).all())
 
 
-@leaf
+@inlined
 def is_mirror(materials, material):
     """Whether a material reflects mostly by a narrow lobe, wherever it is: of textured ones the cache's light is taken as it is."""
     if not materials.flags[material] & CONSTANT or not materials.constant[material, ROUGHNESS] < NARROW:
