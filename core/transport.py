@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .references import Reference
 from .scene import TRANSLUCENT, Geometry, MaterialTables
 
 
@@ -31,8 +32,10 @@ class Transport(NamedTuple):
 def transport(geometry: Geometry, materials: MaterialTables, rays, emitters) -> Transport:
     """The tables of a scene whose rays and emitters are built."""
     g = geometry
-    return Transport(
-        rays, g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object, g.object_visibility, materials, emitters
+    return Reference(
+        Transport(
+            rays, g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object, g.object_visibility, materials, emitters
+        )
     )
 
 

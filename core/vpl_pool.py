@@ -16,6 +16,7 @@ from .particles import Vpls, trace_particles
 from .rays.offsets import shadow_segment
 from .rays.packet import is_occluded, new_packet, set_ray
 from .rays.trace import OPAQUE, occluded_packet
+from .references import Reference
 from .sampling.hashing import uniform
 from .scene import DIFFUSE, bounds
 from .threads import Cancelled, Progress, run_chunks
@@ -115,8 +116,10 @@ def contributions(scene: Transport, vpls: Vpls, subset: ShadingPoints, g_max: fl
     reach = np.empty(m, np.float32)
     seen = np.empty(m, np.float32)
 
+    lights, points = Reference(vpls), Reference(subset)
+
     def work(begin, end):
-        return _contributions(scene, vpls, begin, end, subset, weights, np.float32(g_max), RAYS_EACH, np.uint32(seed), reach, seen)
+        return _contributions(scene, lights, begin, end, points, weights, np.float32(g_max), RAYS_EACH, np.uint32(seed), reach, seen)
 
     rays = sum(run_chunks(work, m, 512, threads))
     return reach.astype(np.float64) * (seen + UNSEEN), rays

@@ -22,6 +22,7 @@ from ..jit import inlined, kernel, leaf
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.packet import WIDTH, disable_ray, is_occluded, new_packet, set_ray
 from ..rays.trace import OPAQUE, occluded1, occluded_packet
+from ..references import Reference
 from ..sampling.hashing import hash_combine, to_unit, uniform
 from ..sampling.sequences import sobol
 from ..scene import SHADOW, SUN
@@ -621,6 +622,7 @@ def direct_light(
         receivers = Receivers(
             points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none, spread, tilt
         )
+    receivers = Reference(receivers)
     n, columns = len(points.position), 3 * scene.emitters.light_groups
     # Side by side: light that met no glass, light that passed it.
     out = np.zeros((n, 2 * columns), np.float32)

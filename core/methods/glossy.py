@@ -19,6 +19,7 @@ from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, WORLD
 from ..lamps.world import world_radiance
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
+from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.sequences import sobol
 from ..scene import CONSTANT, EMISSIVE, GLOSSY, NORMAL_MAPPED, TRANSLUCENT
@@ -285,13 +286,14 @@ def _draw(
     each of these is sure to be one, number of rays)."""
     shown, known = (scene.emitters.no_light(len(owner)) for _ in range(2))
     guide = np.zeros((len(owner), 3), np.float32)
+    known_by, starts = Reference(cache), Reference(points)
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * most)
         mirror, sure = (np.empty((end - begin) * most, np.uint8) for _ in range(2))
         n, rays = _reflect_chunk(
-            scene, cache, np.float32(near), row, points, owner, begin, end, samples, most, roulette, np.uint32(seed), np.int64(first), clear,
-            shared, shown, known, guide, room, mirror, sure,
+            scene, known_by, np.float32(near), row, starts, owner, begin, end, samples, most, roulette, np.uint32(seed), np.int64(first), clear,
+            shared, shown, known, guide, Reference(room), mirror, sure,
         )  # fmt: skip
         mirror = mirror[:n].astype(bool)
         room = room.take(slice(0, n))

@@ -41,6 +41,7 @@ from ..rays.packet import (
     set_ray,
 )
 from ..rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
+from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..sampling.sequences import r2
@@ -572,17 +573,18 @@ class ImportanceSampling:
         self.reflected, self.shared = shown, SharedRays(gather, lights, self.g_max) if reflections else None
 
         gathered = np.zeros(n, np.float32)
+        cache, receivers, vpls = (Reference(table) for table in (self.cache, points, self.vpls))
         sights, parts = np.zeros((n, self.samples), np.uint8), np.empty((n, self.samples), np.uint8)
 
         def work(begin, end):
             rays = _gather(
-                self.scene, self.cache, points, gather, begin, end, first, self.g_max, self.near, self.bounces,
+                self.scene, cache, receivers, gather, begin, end, first, self.g_max, self.near, self.bounces,
                 np.uint32(self.seed + 3), reflections, lights, out, shown,
             )  # fmt: skip
             gathered[begin:end] = np.einsum("nc->n", out[begin:end]) * np.float32(1 / 3)
             if lights:
                 rays += _sample_lights(
-                    self.scene, points, self.vpls, self.lights, samples, begin, end, first, self.g_max, cutouts, self.near, self.cache.size,
+                    self.scene, receivers, vpls, self.lights, samples, begin, end, first, self.g_max, cutouts, self.near, self.cache.size,
                     np.uint32(self.seed + 4), reflections, out, shown, sights, parts,
                 )  # fmt: skip
             return rays

@@ -10,6 +10,7 @@ import numpy as np
 from ..jit import kernel, leaf
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
+from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE
@@ -162,8 +163,10 @@ def _trace(
     offsets = np.random.default_rng(seed).random(paths)
     start = np.minimum(((np.arange(paths) + offsets) * (len(points.pixel) / paths)).astype(np.int64), len(points.pixel) - 1)
 
+    seen, found = Reference(points), Reference(probes)
+
     def work(begin, end):
-        return _probe_chunk(scene, points, start, number, begin, end, depth, turn, np.uint32(seed), probes)
+        return _probe_chunk(scene, seen, start, number, begin, end, depth, turn, np.uint32(seed), found)
 
     rays = sum(run_chunks(work, len(number), CHUNK, threads, progress))
     np.add(probes.direct, probes.shine, out=probes.direct)

@@ -18,6 +18,7 @@ from ..jit import kernel, leaf
 from ..lamps.direct import direct_sample_at
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
+from ..references import Reference
 from ..sampling.hashing import uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE, GLOSSY, TRANSMISSION
@@ -218,10 +219,10 @@ def tail_light(
 ) -> np.ndarray:
     """One sample of `path_light` at each of N points towards their viewers, (N, 3 G) float32 W/m^2; one bounce more where it comes through."""
     out = scene.emitters.no_light(len(points.pixel))
-    cache = no_cache() if cache is None else cache
+    known, starts = Reference(no_cache() if cache is None else cache), Reference(points)
 
     def work(begin, end):
-        _tail_chunk(scene, cache, np.float32(near), points, begin, end, bounces, np.uint32(seed), out)
+        _tail_chunk(scene, known, np.float32(near), starts, begin, end, bounces, np.uint32(seed), out)
 
     run_chunks(work, len(out), CHUNK, threads)
     return out

@@ -9,6 +9,8 @@ from __future__ import annotations
 from numba import types
 from numba.extending import overload
 
+from ..references import ReferenceType
+
 # Sets of triangles. COHERENT is or-ed to a set for packets whose rays stay together (camera rays of a tile, a
 # light's shadow rays to neighbouring points): 1.3 times faster there, and up to twice slower elsewhere.
 OPAQUE, CUTOUT, ALL, COHERENT = 1, 2, 3, 4
@@ -41,6 +43,7 @@ def register_backend(tables_class, occluded_packet_of, intersect_packet_of, occl
     options = {"error_model": "numpy", "forceinline": True}
 
     def matches(tables):
+        tables = tables.value if isinstance(tables, ReferenceType) else tables
         return isinstance(tables, types.BaseNamedTuple) and tables.instance_class is tables_class
 
     def dispatch_packet(stub, jitted):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from ..film import SQUARE, Film
 from ..jit import kernel, leaf
 from ..lamps.groups import LightGroups
 from ..rays.packet import WIDTH, new_packet
+from ..references import Reference
 from ..sampling.hashing import uniform
 from ..scene import CAMERA, TRANSLUCENT, Scene
 from ..surfaces.layout import SURFACE
@@ -57,6 +59,18 @@ from .tile import (
 )  # fmt: skip
 
 EVEN = 4  # samples a pixel: fewer tell too little of what varies, and every pixel has the same
+
+
+class _Geometry(NamedTuple):
+    """As in `scene.Geometry`, and the light group of each object."""
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    corner_normals: np.ndarray
+    attributes: np.ndarray
+    material: np.ndarray
+    object: np.ndarray
+    light_group: np.ndarray
 
 
 @dataclass
@@ -181,13 +195,12 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
 
 @kernel
 def _view_tiles(
-    rays, camera, film, materials, geometry, lamps, world, world_visibility, world_group, begin, end, least, most, seed, points, layers
+    rays, camera, film, materials, geometry, lamps, world, world_visibility, world_group, begin, end, least, most, seed, points, layers, tile
 ):  # fmt: skip
     """Trace, evaluate and group the samples of the tiles begin..end-1, `least` to `most` a pixel.
 
     film: (K,) float32 as `Film.offsets` has them.
-    geometry: (vertices, triangles, corner_normals, attributes, material, object, light group of each object).
-    world_group: light group of the world.  points: room for all that can come.  layers: (H * W, EMITTED + 9 G) float32.
+    world_group: light group of the world.  points: room for all that can come.  tile: room for one.  layers: (H * W, EMITTED + 9 G) float32.
     Returns the number of points and of rays.
     """
     light_groups = (layers.shape[1] - EMITTED) // (3 * GLASS)
@@ -201,7 +214,6 @@ def _view_tiles(
     packet = new_packet()
     surface = np.zeros(SURFACE, np.float32)
     rows = new_registers(materials)
-    tile = new_tile(most, light_groups)
     near_lamps = np.empty(len(lamps.kind), np.int32)
     lanes, ends, panes = np.empty((WIDTH, 2), np.int32), np.empty(WIDTH, np.int32), np.empty(WIDTH, np.int32)
     member = np.empty((1 + PANES) * most, np.int32)
@@ -302,8 +314,9 @@ def view(
     least, most = sample_counts(samples)
     chunk = 64
     g = scene.geometry
-    geometry = (g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object, groups.objects)
-    lamps = visible_lamps(scene, groups)
+    geometry = _Geometry(g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object, groups.objects)
+    tables = (rays, camera, with_viewer(scene), geometry, visible_lamps(scene, groups), world)
+    rays, camera, materials, geometry, lamps, world = (Reference(table) for table in tables)
     offsets = film.offsets()
     seen_by = scene.world.visibility & ~CAMERA if film.transparent else scene.world.visibility
 
@@ -312,8 +325,8 @@ def view(
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * WIDTH * (1 + PANES) * most * sides)
         n, n_rays = _view_tiles(
-            rays, camera, offsets, with_viewer(scene), geometry, lamps, world, seen_by, groups.world,
-            begin, end, least, most, np.uint32(seed), room, layers,
+            rays, camera, offsets, materials, geometry, lamps, world, seen_by, groups.world,
+            begin, end, least, most, np.uint32(seed), Reference(room), layers, Reference(new_tile(most, len(groups.names))),
         )  # fmt: skip
         return room.first(n), n_rays
 

@@ -224,7 +224,8 @@ def trace_samples(
 @leaf
 def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile):
     """Trace a packet of `n` samples, each the pixel and number of its row of `lanes`; the number of rays."""
-    vertices, triangle_vertices, corner_normals, attributes, material, _, _ = geometry
+    vertices, triangle_vertices, corner_normals = geometry.vertices, geometry.triangles, geometry.corner_normals
+    attributes, material = geometry.attributes, geometry.material
     weight, direction, depth, glass = tile.weight, tile.direction, tile.depth, tile.glass
     origin, passed = tile.origin, tile.passed
     triangles = tile.hits.view(np.int32)
@@ -313,7 +314,8 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
 
     pixel_width: of a pixel at a depth of 1 m (of an orthographic camera at any depth).  most: rows from there on are panes.
     """
-    vertices, triangle_vertices, corner_normals, attributes, material, object_of, light_group = geometry
+    vertices, triangle_vertices, corner_normals = geometry.vertices, geometry.triangles, geometry.corner_normals
+    attributes, material, object_of, light_group = geometry.attributes, geometry.material, geometry.object, geometry.light_group
     weight, direction, depth, glass = tile.weight, tile.direction, tile.depth, tile.glass
     triangles = tile.hits.view(np.int32)
     out, sample, group_of, first, group = tile.out[pixel], tile.sample[pixel], tile.group_of[pixel], tile.first[pixel], tile.group[pixel]

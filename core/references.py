@@ -1,0 +1,148 @@
+"""Named tuples of arrays that kernels take by reference.
+
+Numba hands a tuple over field by field and an array as seven numbers or more, so that every call within a kernel that passes the tables of a
+scene on copies some 500 words to the stack: a fifth of a picture's time.  A `Reference` is one address; what a kernel reads of it, it reads
+from there, by the same attributes.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import (
+    NativeValue,
+    infer_getattr,
+    intrinsic,
+    lower_getattr_generic,
+    models,
+    register_model,
+    unbox,
+)
+
+from .jit import kernel
+
+
+class ReferenceType(types.Type):
+    """Type of a named tuple that lies in memory, as Numba sees it."""
+
+    def __init__(self, value: types.BaseNamedTuple) -> None:
+        self.value = value
+        super().__init__(f"Reference({value.name})")
+
+    def field(self, name: str) -> int:
+        """Where the tuple has it."""
+        return self.value.fields.index(name)
+
+
+@register_model(ReferenceType)
+class _ReferenceModel(models.PrimitiveModel):
+    """An address of the tuple as data."""
+
+    def __init__(self, manager, reference) -> None:
+        super().__init__(manager, reference, manager.lookup(reference.value).get_data_type().as_pointer())
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):
+    key = ReferenceType
+
+    def generic_resolve(self, reference, name):
+        if name not in reference.value.fields:
+            return None
+        found = reference.value[reference.field(name)]
+        return ReferenceType(found) if isinstance(found, types.BaseNamedTuple) else found
+
+
+@lower_getattr_generic(ReferenceType)
+def _field(context, builder, reference, address, name):
+    index = reference.field(name)
+    found = reference.value[index]
+    place = cgutils.gep_inbounds(builder, address, 0, index)
+    if isinstance(found, types.BaseNamedTuple):
+        return place
+    model = context.data_model_manager[found]
+    if not isinstance(found, types.Array):
+        return model.from_data(builder, _constant(builder, place))
+    # Field by field, so that LLVM sees which of them nobody needs.
+    value = ir.Constant(model.get_value_type(), ir.Undefined)
+    for k, part in enumerate(model._fields):
+        kind = model.get_value_type().elements[k]
+        if part in ("meminfo", "parent"):  # whose array it is, the reference's owner knows
+            value = builder.insert_value(value, ir.Constant(kind, None), k)
+        elif isinstance(kind, ir.ArrayType):
+            for axis in range(found.ndim):
+                one = _constant(builder, cgutils.gep_inbounds(builder, place, 0, k, axis))
+                value = builder.insert_value(value, one, (k, axis))
+        else:
+            value = builder.insert_value(value, _constant(builder, cgutils.gep_inbounds(builder, place, 0, k)), k)
+    return value
+
+
+def _constant(builder, place):
+    """What lies there, which no kernel ever changes: LLVM may read it once for a whole loop."""
+    loaded = builder.load(place)
+    loaded.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return loaded
+
+
+@unbox(ReferenceType)
+def _unbox(reference, thing, c):
+    number = c.pyapi.object_getattr_string(thing, "address")
+    address = c.builder.bitcast(c.pyapi.long_as_voidptr(number), c.context.get_value_type(reference))
+    c.pyapi.decref(number)
+    return NativeValue(address, is_error=c.pyapi.c_api_error())
+
+
+@intrinsic
+def _size_of(typing_context, value):
+    def generate(context, builder, signature, arguments):
+        return context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(value)))
+
+    return types.intp(value), generate
+
+
+@intrinsic
+def _put(typing_context, value, address):
+    def generate(context, builder, signature, arguments):
+        place = builder.inttoptr(arguments[1], context.get_data_type(value).as_pointer())
+        builder.store(context.data_model_manager[value].as_data(builder, arguments[0]), place)
+        return context.get_dummy_value()
+
+    return types.none(value, types.uintp), generate
+
+
+@kernel
+def _bytes(value):
+    return _size_of(value)
+
+
+@kernel
+def _write(value, address):
+    _put(value, np.uintp(address))
+
+
+class Reference:
+    """A named tuple of arrays, numbers and further ones, to be passed to kernels as one address.
+
+    To Python it looks like the tuple: the same attributes, and `_replace` gives another reference.  Its arrays are those of the tuple; the
+    tuple itself lives as long as its reference.
+    """
+
+    __slots__ = ("_memory", "_numba_type_", "address", "value")
+
+    def __init__(self, value) -> None:
+        self.value = value
+        self._numba_type_ = ReferenceType(numba.typeof(value))
+        self._memory = np.zeros(_bytes(value) + 64, np.uint8)
+        self.address = self._memory.ctypes.data + -self._memory.ctypes.data % 64
+        _write(value, self.address)
+
+    def __getattr__(self, name: str):
+        return getattr(self.value, name)
+
+    def _replace(self, **fields) -> Reference:
+        return Reference(self.value._replace(**fields))
