@@ -22,6 +22,7 @@ MOSTLY_MIRRORED = 0.04  # share of the pixels from which on a quick picture's gu
 SHOWN, MOSTLY = 0.8, 0.98  # what the strongest lobes of a picture but for a few are to the denoiser
 MARGIN = 16  # pixels around what is denoised of a picture, which a denoiser sees, too
 LEAST_FORESEEN = np.float32(1e-6)  # of its mean: what is darker has no light to be told from noise
+LEAST_SOFT = np.float32(1e-3)  # of the mean of what has sharp shadows: less is rounding
 QUICKER = {"high": "balanced", "balanced": "fast"}  # of OIDN's qualities, for layers that gain little by the better one
 LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
 # What passes average; position and depth are the first one's.
@@ -68,6 +69,7 @@ class Picture:
     smooth: what of the diffuse indirect light comes from a method without noise, and is left as it is by `denoised`; None for nothing.
     alpha: (H, W) float32, the part of each pixel that is not the world, None where the film is opaque.
     glossy_albedo: (H, W, 3) float32, what glossy lobes reflect, which tells the denoiser where there are any; None for nothing known.
+    sharp: (H, W, 3) float32, what diffuse surfaces send of the light of lamps with sharp shadows, part of `direct`; None where it is not told apart.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
     """
 
@@ -87,17 +89,19 @@ class Picture:
     smooth: np.ndarray | None = None
     alpha: np.ndarray | None = None
     glossy_albedo: np.ndarray | None = None
+    sharp: np.ndarray | None = None
     groups: dict[str, GroupLight] = field(default_factory=dict)
 
     @staticmethod
     def compose(
         seen: View, direct: np.ndarray, indirect: np.ndarray, glossy_direct: np.ndarray, glossy_indirect: np.ndarray,
         mirrored_albedo: np.ndarray, weight: float = 1.0, groups: LightGroups | None = None, foreseen: np.ndarray | None = None,
+        sharp: np.ndarray | None = None,
     ) -> Picture:  # fmt: skip
         """The picture of irradiances and glossy radiances (N, 3 G) at the shading points.
 
         mirrored_albedo: (N, 3), of what mirrors show, for the denoiser.  groups: the G light groups, None for none.
-        foreseen: (N,) irradiance, None for the same everywhere.
+        foreseen: (N,) irradiance, None for the same everywhere.  sharp: the part of `direct` that has sharp shadows.
         """
         columns = [np.s_[:, 3 * k : 3 * k + 3] for k in range(len(seen.emitted))]
         parts = [
@@ -106,7 +110,11 @@ class Picture:
         ]
         whole = parts[0] if len(parts) == 1 else GroupLight(*(sum(layers) for layers in zip(*parts)))
         guide_albedo, guide_normal = denoising_guides(seen)
-        expected = seen.points.albedo * (seen.points.behind_glass == 0)[:, None]
+        clear = (seen.points.behind_glass == 0)[:, None]
+        if sharp is not None:
+            sharp = sharp.reshape(len(sharp), -1, 3).sum(axis=1)
+            sharp = splat(seen.points, np.float32(1 / np.pi) * clear * seen.points.albedo * sharp, seen.shape)
+        expected = seen.points.albedo * clear
         if foreseen is not None:
             expected *= foreseen[:, None]
         return Picture(
@@ -120,6 +128,7 @@ class Picture:
             depth=seen.depth,
             weight=weight,
             glossy_albedo=splat(seen.points, glossy_albedos(seen.points), seen.shape),
+            sharp=sharp,
             groups={} if groups is None else groups.told_apart(parts, GroupLight(*(np.zeros_like(seen.albedo) for _ in LIGHT))),
         )
 
@@ -131,9 +140,9 @@ class Picture:
             name: GroupLight(*(a * mine + b * its for mine, its in zip(light, other.groups[name]))) for name, light in self.groups.items()
         }
         means = {name: a * getattr(self, name) + b * getattr(other, name) for name in _MEANS}
-        for name in ("alpha", "smooth", "glossy_albedo"):
-            if getattr(self, name) is not None:
-                means[name] = a * getattr(self, name) + b * getattr(other, name)
+        for name in ("alpha", "smooth", "glossy_albedo", "sharp"):
+            mine, its = getattr(self, name), getattr(other, name)
+            means[name] = None if mine is None or its is None else a * mine + b * its
         return replace(self, weight=whole, groups=groups, **means)
 
     @property
@@ -174,8 +183,19 @@ class Picture:
             guide, clean = self._mirrored_guide(denoiser, threads, quality)
             found["glossy_indirect"] = cleaned(self.glossy_indirect, self._glossy_guide(guide), clean_aux=clean)
         if direct and self.direct.any():
-            found["direct"] = cleaned(self.direct, self.albedo, QUICKER.get(quality, quality))
+            found["direct"] = self._direct_cleaned(cleaned, QUICKER.get(quality, quality))
         return replace(self, **found)
+
+    def _direct_cleaned(self, cleaned: Callable[..., np.ndarray], quality: str | None) -> np.ndarray:
+        """The direct light without noise; sharp shadows are denoised apart, and by half, for they have little of it and much to lose."""
+        if self.sharp is None:
+            return cleaned(self.direct, self.albedo, quality)
+        soft = self.direct - self.sharp
+        if not largest(soft).max() <= LEAST_SOFT * self.sharp.mean():  # nor where that is no number
+            soft = cleaned(soft, self.albedo, quality)
+        clean = cleaned(self.sharp, self.albedo, quality)
+        mean = np.float32(0.5) * (self.sharp + clean)
+        return soft + np.where(np.isfinite(mean), mean, clean)
 
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
         """The albedo with what mirrors and glass show, of which few rays have told, and whether it is free of noise."""

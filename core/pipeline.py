@@ -11,7 +11,7 @@ import numpy as np
 
 from .coincident import darken, warning_line
 from .denoise import Denoiser
-from .lamps import DirectLight, LightGroups, world_tables
+from .lamps import DirectLight, LightGroups, sharp_emitters, world_tables
 from .layers import Layers
 from .memory import check_memory
 from .methods.glossy import Reflections, has_lobes
@@ -213,7 +213,7 @@ def _render(
     return RenderResult(layers, stats)
 
 
-def _planner(run: Run, settings: RenderSettings, pixels: int, threads: int) -> Planner:
+def _planner(run: Run, tables: Transport, settings: RenderSettings, pixels: int, threads: int) -> Planner:
     """Who decides the passes; what this machine can do is only asked where there is something to be reached."""
     machine = None
     if settings.time_budget is not None:
@@ -222,6 +222,8 @@ def _planner(run: Run, settings: RenderSettings, pixels: int, threads: int) -> P
         if measured:  # once a machine: apart from the render, as compilation is
             run.seconds["calibration"] = time.perf_counter() - begin
     images = 4 if settings.wants("Direct", "Combined") else 3  # diffuse indirect light is denoised twice
+    if images == 4 and sharp_emitters(tables.emitters, settings.direct_samples) is not None:
+        images += 1
     if run.groups:  # direct and indirect light of three groups are two images, denoised in half the time
         images += -(-len(run.groups.names) // 3)
     return Planner(settings, pixels, machine, images=images, cold=settings.method not in LOADED)
@@ -257,7 +259,7 @@ def _passes(
     """All passes of a picture, and those that stand for the frames before the first one of a sequence."""
     run.groups = _light_groups(run, scene, settings)
     with prepared(run, scene, settings, threads, topologies) as tables:
-        planner = run.planner = _planner(run, settings, _pixels(scene.camera), threads)
+        planner = run.planner = _planner(run, tables, settings, _pixels(scene.camera), threads)
         _fly(run, planner, scene, tables, denoiser, threads, elapsed)
         passes = Passes(threads)
         quality = planner.first(elapsed())
@@ -349,6 +351,7 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
     picture = Picture.compose(
         seen, light.irradiance, indirect + light.irradiance_by_glass, light.glossy + mirrored.direct,
         light.glossy_by_glass + mirrored.indirect, mirrored.albedo, weight, run.groups, foreseen,
+        light.sharp,
     )  # fmt: skip
     smooth = None
     if settings.smooth:

@@ -203,7 +203,9 @@ def direct_stage(
     samples, seed = settings.direct_samples, settings.seed
 
     def by_rays(tables: Transport, lobes: bool) -> DirectLight:
-        light, rays = direct_light(tables, points, samples, seed, threads, tick, reflections=settings.reflections, lobes=lobes)
+        light, rays = direct_light(
+            tables, points, samples, seed, threads, tick, reflections=settings.reflections, lobes=lobes, apart=settings.denoise
+        )
         run.rays["shadow"] += rays
         if settings.bounces == 0:  # glass is a bounce
             nothing = np.zeros_like(light.irradiance_by_glass)

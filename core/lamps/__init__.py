@@ -8,6 +8,7 @@ from .build import build_emitters
 from .direct import DirectLight, direct_irradiance, direct_light
 from .emission import focus_share, focused
 from .groups import LightGroups
+from .sharp import sharp_emitters
 from .tables import Emitters
 from .world import world_tables
 
@@ -20,5 +21,6 @@ __all__ = [
     "direct_light",
     "focus_share",
     "focused",
+    "sharp_emitters",
     "world_tables",
 ]

@@ -34,6 +34,7 @@ from ..surfaces.visibility import transmittance1
 from ..threads import Progress, run_chunks
 from .lookup import can_be_met, emitter_density, share_of
 from .sample import sample_emitter
+from .sharp import sharp_emitters
 from .tables import AXIS_Z, CASTS_SHADOW, ONE_MINUS_COS, SEEN_BY_GLOSSY, TRIANGLE, WORLD
 from .tree import CUT, choose, cut_estimate, cut_for, descend, importance
 from .world import world_density, world_radiance
@@ -576,12 +577,14 @@ class DirectLight(NamedTuple):
     irradiance: (N, 3 G) float32 W/m^2.  glossy: (N, 3 G) float32 W/m^2/sr, what lobes reflect to the viewer.
     irradiance_by_glass, glossy_by_glass: the same, of light that passed glass on its way from the lamp: glass is a bounce to
     Cycles, which counts it as indirect light.
+    sharp: (N, 3 G) float32, what of `irradiance` is of lamps with sharp shadows, None where it is not told apart.
     """
 
     irradiance: np.ndarray
     glossy: np.ndarray
     irradiance_by_glass: np.ndarray
     glossy_by_glass: np.ndarray
+    sharp: np.ndarray | None = None
 
 
 def direct_irradiance(scene, points, samples: int, seed: int, threads: int = 0, progress: Progress | None = None, *, first: int = 0):
@@ -596,7 +599,7 @@ def direct_irradiance(scene, points, samples: int, seed: int, threads: int = 0, 
 
 def direct_light(
     scene, points, samples: int, seed: int, threads: int = 0, progress: Progress | None = None, *, first: int = 0, reflections: int = 0,
-    lobes: bool = True,
+    lobes: bool = True, apart: bool = False,
 ):  # fmt: skip
     """Direct light at shading points: irradiance, and what their glossy lobes reflect to the viewer.
 
@@ -609,6 +612,7 @@ def direct_light(
         reflections: most rays drawn from a point's lobe; where above 0, the light that they find is theirs to add
             (`methods.glossy.reflect`, called with the same numbers).
         lobes: whether the points' lobes matter at all; without, they need the arrays position, ns, ng and error only (and may have spread and tilt).
+        apart: whether to tell apart what comes from lamps with sharp shadows (`sharp_emitters`), if there are any.
 
     Returns:
         (DirectLight, number of rays traced).
@@ -624,6 +628,11 @@ def direct_light(
         )
     receivers = Reference(receivers)
     n, columns = len(points.position), 3 * scene.emitters.light_groups
+    sharp = sharp_emitters(scene.emitters, samples) if apart else None
+    if sharp is not None:  # further light groups, to the kernels
+        group = scene.emitters.light_group + scene.emitters.light_groups * sharp
+        scene = scene._replace(emitters=scene.emitters._replace(light_group=group.astype(np.int32)))
+        columns *= 2
     # Side by side: light that met no glass, light that passed it.
     out = np.zeros((n, 2 * columns), np.float32)
     reflected = np.zeros((n if lobes else 0, 2 * columns), np.float32)
@@ -637,4 +646,7 @@ def direct_light(
     if not lobes:
         reflected = np.zeros_like(out)
     halves = [light[:, part] for part in (slice(columns), slice(columns, None)) for light in (out, reflected)]
-    return DirectLight(*map(np.ascontiguousarray, halves)), rays
+    if sharp is None:
+        return DirectLight(*map(np.ascontiguousarray, halves)), rays
+    soft, hard = ([half[:, part] for half in halves] for part in (slice(columns // 2), slice(columns // 2, None)))
+    return DirectLight(*(a + b for a, b in zip(soft, hard)), np.ascontiguousarray(hard[0])), rays

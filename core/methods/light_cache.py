@@ -10,7 +10,6 @@ surface as a whole is kept.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -136,19 +135,24 @@ def no_cache() -> LightCache:
 
 
 @inlined
+def _floor(x):
+    """Without a call: Numba's own is one."""
+    whole = np.int64(x)
+    return whole - (x < np.float32(whole))
+
+
+@inlined
 def _key(origin, size, level, x, y, z, nx, ny, nz, side):
     """The cell of a place on a side of a material, with a normal, at a level: one integer."""
     mask = np.int64(0x1FFFF)
     edge = size
     for _ in range(level):
         edge *= np.float32(GROWTH)
-    ix = np.int64(math.floor((x - origin[0]) / edge)) & mask
-    iy = np.int64(math.floor((y - origin[1]) / edge)) & mask
-    iz = np.int64(math.floor((z - origin[2]) / edge)) & mask
+    ix, iy, iz = _floor((x - origin[0]) / edge) & mask, _floor((y - origin[1]) / edge) & mask, _floor((z - origin[2]) / edge) & mask
     # Rounded halves: normals along the axes, the most common ones, lie in the middle of their bins.
-    ax = np.int64(math.floor(nx * np.float32(2.0) + np.float32(2.5)))
-    ay = np.int64(math.floor(ny * np.float32(2.0) + np.float32(2.5)))
-    az = np.int64(math.floor(nz * np.float32(2.0) + np.float32(2.5)))
+    ax = np.int64(nx * np.float32(2.0) + np.float32(2.5))
+    ay = np.int64(ny * np.float32(2.0) + np.float32(2.5))
+    az = np.int64(nz * np.float32(2.0) + np.float32(2.5))
     place = np.uint64(((((ix << 17 | iy) << 17 | iz) << 8) + (ax * 25 + ay * 5 + az)) << 2 | np.int64(level))
     return place ^ (np.uint64(side) * np.uint64(0xD1B54A32D192ED03))
 

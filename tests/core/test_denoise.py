@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -296,3 +297,21 @@ def test_blur_pass_equals_its_oracle():
     out = np.empty_like(arrays[0])
     dn._blur_rows(*arrays, 2, 0, 9, out)
     np.testing.assert_allclose(out, blur_pass_slowly(light, normal, position, albedo, 2), rtol=2e-4)
+
+
+def test_sharp_shadows_do_not_go_with_the_noise_of_other_lamps(denoiser):
+    rng = np.random.default_rng(6)
+    shape = (96, 128, 3)
+    stripes = np.zeros(shape, np.float32) + ((np.arange(96)[:, None] + np.arange(128)) // 3 % 2)[..., None]
+    sky = rng.gamma(0.2, 5, shape[:2])[..., None].astype(np.float32) * np.ones(3, np.float32)
+    none, one = np.zeros(shape, np.float32), np.ones(shape, np.float32)
+    up = np.broadcast_to(np.array([0, 0, 1], np.float32), shape)
+    whole = Picture(stripes + sky, none, none, one, none, up, one, up, one, none, none[..., 0])
+    apart = replace(whole, sharp=stripes)
+    as_one, split = (kind.denoised(denoiser, 2).direct for kind in (whole, apart))
+    assert np.mean((split - stripes - 1) ** 2) < 0.5 * np.mean((as_one - stripes - 1) ** 2)
+    assert split.mean() == pytest.approx(whole.direct.mean(), rel=5e-3)
+    bad = stripes.copy()
+    bad[5, 7] = np.nan
+    assert np.isfinite(replace(whole, direct=bad + sky, sharp=bad).denoised(denoiser, 2).direct).all()
+    assert whole.blend(apart).sharp is None and (apart.blend(apart).sharp == stripes).all()

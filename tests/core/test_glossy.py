@@ -8,7 +8,7 @@ import pytest
 
 from lumigate.core import scene as sc
 from lumigate.core.jit import kernel
-from lumigate.core.lamps import build_emitters, direct_light
+from lumigate.core.lamps import build_emitters, direct_light, sharp_emitters
 from lumigate.core.lamps.lookup import can_be_met, emitter_density, lamp_along
 from lumigate.core.lamps.sample import sample_emitter
 from lumigate.core.lamps.tables import WORLD
@@ -379,3 +379,31 @@ def test_lobes_leave_the_irradiance_as_it_is():
 def test_material_columns_are_those_of_the_layout():
     """The mirror of these tests is smooth because its roughness is not set."""
     assert mirror_room(mirrors=(0,)).tables.materials.constant[0, ROUGHNESS] == 0
+
+
+@pytest.mark.parametrize("others", [{}, {"world": 0.7}])
+def test_light_with_sharp_shadows_is_told_apart(others):
+    sun = lamp(sc.SUN, 2.0, angle=math.radians(0.5), towards=(0, 0.6, -0.8))
+    broad = lamp(sc.AREA, 3.0, size=(2, 2))
+    scene, alone = Set(sun, broad, **others), Set(sun)
+    points = points_at(500, 0.5, albedo=0.5)
+    light, rays = direct_light(scene.tables, points, 16, 1, apart=True)
+    whole, same = direct_light(scene.tables, points, 16, 1)
+    np.testing.assert_allclose(light.sharp, direct_light(alone.tables, points, 16, 1)[0].irradiance, rtol=1e-3)
+    assert rays == same and light.sharp.mean() == pytest.approx(1.6, rel=1e-3)
+    for found, expected in zip(light[:4], whole[:4], strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
+
+
+def test_only_small_lamps_that_every_point_asks_have_sharp_shadows():
+    def sharp(*lamps, samples=16, **others):
+        found = sharp_emitters(Set(*lamps, **others).emitters, samples)
+        return None if found is None else found.tolist()
+
+    small, large = lamp(sc.POINT, 1.0, radius=0.001), lamp(sc.POINT, 1.0, radius=5.0, position=(0, 0, 9))
+    assert sharp(small, large) == [True, False]
+    assert sharp(small, world=1.0) == [True, False]
+    assert sharp(small) == [True]
+    assert sharp(large, lamp(sc.AREA, 1.0), lamp(sc.SUN, 1.0, angle=math.radians(20))) is None
+    assert sharp(*[small] * 3, samples=2) is None
+    assert sharp(*[small] * 300) is None
