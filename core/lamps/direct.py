@@ -187,13 +187,13 @@ def shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error, dx, dy, dz, t):
 
 @leaf
 def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end):
-    """Share of light (r, g, b) that a shadow ray lets through up to t = end."""
+    """Share of light (r, g, b) that a shadow ray lets through up to t = end, and the share of that which passed no glass."""
     if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, SHADOW):
-        return _0, _0, _0
+        return _0, _0, _0, _1
     if not scene.emitters.cutouts:
-        return _1, _1, _1
-    r, g, b, _ = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, SHADOW)
-    return r, g, b
+        return _1, _1, _1, _1
+    r, g, b, clear = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, SHADOW)
+    return r, g, b, max(_0, clear)
 
 
 @leaf
@@ -238,7 +238,7 @@ def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, s
     w = cosine * total / (chosen_estimate * probability)
     if emitters.flags[e] & CASTS_SHADOW:
         ox, oy, oz, dx, dy, dz, end = shadow_ray(scene, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t)
-        tr, tg, tb = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end)
+        tr, tg, tb, _ = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end)
         r, g, b = r * tr, g * tg, b * tb
     return w * r, w * g, w * b, cosine, e, across
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import inlined, kernel, leaf
 from ..lamps.direct import aimed_density, direct_light, expected_samples, passed, set_point_lobe
 from ..lamps.lookup import lamp_along, share_of
 from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, WORLD
@@ -76,13 +76,24 @@ def _emitter_of(emitters, triangle):
     return emitters.first_triangle + low if low < len(emitters.triangle) and emitters.triangle[low] == triangle else -1
 
 
-@kernel
-def _lamps_along(
-    scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, wr, wg, wb, shown, i
-):  # fmt: skip
-    """Adds the radiance of the lamps along d, weighed by w and the share of rays drawn with the density `drawn`, to row i of `shown`.
+@inlined
+def _add_shining(shown, by_glass, i, c, clear, r, g, b):
+    """Adds emission, of light group c / 3, to row i: to `by_glass` the part that passed glass, which is a bounce to Cycles."""
+    shown[i, c] += clear * r
+    shown[i, c + 1] += clear * g
+    shown[i, c + 2] += clear * b
+    if clear < _1:
+        by_glass[i, c] += (_1 - clear) * r
+        by_glass[i, c + 1] += (_1 - clear) * g
+        by_glass[i, c + 2] += (_1 - clear) * b
 
-    Lamps hide nothing, neither each other nor what lies behind them.
+
+@leaf
+def _lamps_along(
+    scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, wr, wg, wb, shown, by_glass, i
+):  # fmt: skip
+    """Adds the radiance of the lamps along d, weighed by w and the share of rays drawn with the density `drawn`, to row i of `shown`, or of
+    `by_glass`.  Lamps hide nothing, neither each other nor what lies behind them.
     """
     emitters = scene.emitters
     for e in range(len(emitters.source)):
@@ -92,14 +103,12 @@ def _lamps_along(
         if not w > _0:
             continue
         w *= share_of(drawn, aimed_density(emitters, expected, e, x, y, z, sx, sy, sz, dx, dy, dz))
-        tr = tg = tb = _1
+        tr = tg = tb = clear = _1
         if emitters.flags[e] & CASTS_SHADOW:
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-            tr, tg, tb = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t * _SHORT)
-        c = 3 * emitters.light_group[e]
-        shown[i, c] += wr * w * tr * emitters.radiance[e, 0]
-        shown[i, c + 1] += wg * w * tg * emitters.radiance[e, 1]
-        shown[i, c + 2] += wb * w * tb * emitters.radiance[e, 2]
+            tr, tg, tb, clear = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t * _SHORT)
+        tr, tg, tb = wr * w * tr * emitters.radiance[e, 0], wg * w * tg * emitters.radiance[e, 1], wb * w * tb * emitters.radiance[e, 2]
+        _add_shining(shown, by_glass, i, 3 * emitters.light_group[e], clear, tr, tg, tb)
 
 
 @kernel
@@ -107,7 +116,8 @@ def _reflect_chunk(
     scene, cache, near, row, points, owner, begin, end, samples, most, roulette, seed, first, clear, shared, shown, known, guide, hits, mirror,
     sure,
 ):  # fmt: skip
-    """Draw up to `most` rays from the lobe of each point begin..end-1: emission that they meet is added to `shown` (N, 3 G).
+    """Draw up to `most` rays from the lobe of each point begin..end-1: emission that they meet is added to `shown` (N, 3 G), or to `known`
+    where it passed glass.
 
     The surfaces met go into `hits`, whose `pixel` is the `owner` (N,) of their point and whose albedo, f0 and f90 hold the
     weight of their ray; one with a narrow lobe reflects (mirror (H,) is 1) or is diffuse (0) at random.  Where the lobe is
@@ -148,10 +158,34 @@ def _reflect_chunk(
             vr, vg, vb = wr, wg, wb  # before what lies on the way
             rays += 1
             _lamps_along(
-                scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, wr, wg, wb, shown, i
+                scene,
+                packet,
+                rows,
+                surface,
+                expected,
+                drawn,
+                x,
+                y,
+                z,
+                error,
+                gx,
+                gy,
+                gz,
+                sx,
+                sy,
+                sz,
+                dx,
+                dy,
+                dz,
+                wr,
+                wg,
+                wb,
+                shown,
+                known,
+                i,
             )
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-            triangle, u, v, t, tr, tg, tb = nearest_surface(
+            triangle, u, v, t, tr, tg, tb, unbroken = nearest_surface(
                 scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), GLOSSY, key, index, 0
             )
             wr, wg, wb = wr * tr, wg * tg, wb * tb
@@ -160,9 +194,7 @@ def _reflect_chunk(
                     share = share_of(drawn, aimed_density(emitters, expected, shining, x, y, z, sx, sy, sz, dx, dy, dz))
                     r, g, b = world_radiance(emitters.world, dx, dy, dz)
                     c = 3 * emitters.light_group[shining]
-                    shown[i, c] += share * wr * r
-                    shown[i, c + 1] += share * wg * g
-                    shown[i, c + 2] += share * wb * b
+                    _add_shining(shown, known, i, c, unbroken, share * wr * r, share * wg * g, share * wb * b)
                 continue
             material = scene.material[triangle]
             flags = scene.materials.flags[material]
@@ -194,9 +226,8 @@ def _reflect_chunk(
                 if e >= 0:
                     share = share_of(drawn, aimed_density(emitters, expected, e, x, y, z, sx, sy, sz, dx, dy, dz))
                 c = 3 * emitters.object_light_group[scene.object[triangle]]
-                shown[i, c] += share * wr * surface[EMISSION]
-                shown[i, c + 1] += share * wg * surface[EMISSION + 1]
-                shown[i, c + 2] += share * wb * surface[EMISSION + 2]
+                r, g, b = share * wr * surface[EMISSION], share * wg * surface[EMISSION + 1], share * wb * surface[EMISSION + 2]
+                _add_shining(shown, known, i, c, unbroken, r, g, b)
             ar, ag, ab = diffuse_albedo(surface, cosine)
             shadowed = mean_shadowing(surface[TILT])
             ar, ag, ab = shadowed * ar, shadowed * ag, shadowed * ab

@@ -200,7 +200,7 @@ def _gathered(
                 points.position[k, 0], points.position[k, 1], points.position[k, 2],
                 points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz,
             )  # fmt: skip
-            triangle, u, v, t, tr, tg, tb = nearest_surface(
+            triangle, u, v, t, tr, tg, tb, _ = nearest_surface(
                 scene, single, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, 60
             )
             if triangle < 0:

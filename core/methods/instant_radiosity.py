@@ -158,7 +158,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                 if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
                     cosine = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
                     ox, oy, oz = offset_origin(px, py, pz, points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz)
-                    triangle, u, v, _, wr, wg, wb = nearest_surface(
+                    triangle, u, v, _, wr, wg, wb, _ = nearest_surface(
                         scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.sqrt(cosine / g_max), DIFFUSE, seed, path, 60
                     )
                     if triangle < 0:

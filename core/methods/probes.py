@@ -55,7 +55,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
             seed = hash_combine(seed, turn)
         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
         rays += 1
-        triangle, u, v, t, r, g, b = nearest_surface(
+        triangle, u, v, t, r, g, b, _ = nearest_surface(
             scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), kinds, seed, path, at + 8
         )
         if triangle < 0:

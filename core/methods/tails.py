@@ -159,7 +159,7 @@ def path_light(
                 break
             wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-        triangle, u, v, t, r, g, b = nearest_surface(
+        triangle, u, v, t, r, g, b, _ = nearest_surface(
             scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), kinds, seed, path, at + 8
         )
         if triangle < 0:

@@ -96,7 +96,7 @@ def _cut_out(scene, packet, rows, surface, x, y, z, direction, inside, m, row0, 
         if found[lane]:
             row, column = row0 + lane // TILE, column0 + lane % TILE
             path = np.uint32((m * resolution + row) * resolution + column)
-            _, _, _, depth, _, _, _ = nearest_surface(
+            _, _, _, depth, _, _, _, _ = nearest_surface(
                 scene, packet, rows, surface, x, y, z, direction[lane, 0], direction[lane, 1], direction[lane, 2],
                 maps[m, row, column], kinds, seed, path, 61,
             )  # fmt: skip

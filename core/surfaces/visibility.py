@@ -119,23 +119,26 @@ def shadow_packet(scene, packet, rows, surface, count, kinds, cutouts, transmitt
 def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach, kinds, seed, path, dimension):
     """The nearest surface along a ray that does not let it through, its material evaluated into `surface`.
 
-    Returns (triangle or -1, u, v, t, r, g, b): (r, g, b) weighs what is seen, or what lies beyond all surfaces, for
-    what was passed.
+    Returns (triangle or -1, u, v, t, r, g, b, clear): (r, g, b) weighs what is seen, or what lies beyond all surfaces, for
+    what was passed; clear is the share of it that passed no glass.
     """
-    r = g = b = _1
+    r = g = b = clear = _1
     start = _0
     for layer in range(MAX_PASSED):
         triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, dx, dy, dz, start, reach, kinds)
         if triangle < 0:
-            return -1, _0, _0, reach, r, g, b
+            return -1, _0, _0, reach, r, g, b, clear
         evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface)
         if not scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
-            return triangle, u, v, t, r, g, b
+            return triangle, u, v, t, r, g, b, clear
         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
         chance = passing_chance(surface)
         if uniform(seed, path, dimension, layer) >= chance:
             rest = _1 / (_1 - chance)
-            return triangle, u, v, t, r * rest, g * rest, b * rest
+            return triangle, u, v, t, r * rest, g * rest, b * rest, clear
+        refracted = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
+        if refracted > _0:
+            clear *= max(_0, _1 - refracted / (tr + tg + tb))
         r, g, b = r * tr / chance, g * tg / chance, b * tb / chance
         start = t + np.float32(1e-5) * abs(t)
-    return -1, _0, _0, reach, _0, _0, _0
+    return -1, _0, _0, reach, _0, _0, _0, clear

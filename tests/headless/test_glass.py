@@ -128,14 +128,14 @@ def test_denoising_keeps_the_books():
 ROOFS = ("slab", "film", "veil")
 
 
-def booths(lamps):
+def booths(lamps, **floor):
     """Three boxes whose floors are lit through their roofs only: a slab of glass, a film that refracts nothing, a veil.
 
-    lamps: "area", one above each roof, or "world".
+    lamps: "area", one above each roof, or "world".  floor: inputs of its material.
     """
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    floor = material("Floor", Base_Color=(0.7, 0.6, 0.5, 1), Specular_IOR_Level=0.0)
+    floor = material("Floor", **({"Base_Color": (0.7, 0.6, 0.5, 1), "Specular_IOR_Level": 0.0} | floor))
     black = material("Black", Base_Color=(0, 0, 0, 1), Specular_IOR_Level=0.0)
     glass = material("Glass", Transmission_Weight=1.0, Roughness=0.0, IOR=1.5, Base_Color=(0.81, 1, 0.64, 1))
     film = shader("Film", "ShaderNodeBsdfRefraction", Color=(0.5, 0.8, 1, 1), IOR=1.0)
@@ -175,6 +175,25 @@ def test_light_that_passes_glass_is_indirect_light(lamps):
         # Reflections to and fro within the slab are left out.
         bound = 0.03 if roof == "slab" else 0.02
         for name in ("Direct", "DiffuseIndirect"):
+            expected, mine = ([layers[name][floor].mean((0, 1), dtype=float) for layers in some] for some in (halves, ours))
+            noise = np.abs(expected[0] - expected[1]) / 2 + np.std(mine, axis=0, ddof=1) / math.sqrt(SEEDS)
+            mine, expected = np.mean(mine, axis=0), np.mean(expected, axis=0)
+            assert (np.abs(mine - expected) <= bound * expected + 3 * noise + 1e-6).all(), (roof, name)
+            assert (expected > 1e-3).all() == ((name == "Direct") == (roof == "veil"))
+
+
+@pytest.mark.parametrize("roughness", [0.15, 0.5])
+@pytest.mark.parametrize("lamps", ["area", "world"])
+def test_what_shines_through_glass_is_reflected_as_indirect_light(lamps, roughness):
+    scene = booths(lamps, Metallic=1.0, Roughness=roughness)
+    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "lamps": lamps, "roughness": roughness}
+    halves = cached_halves(scene, identity, size=(48, 16), spp=512, bounces=4, seed=1)
+    arrays = extract_scene(scene, size=(48, 16))
+    ours = [render(arrays, RenderSettings(seed=seed, denoise=False, direct_samples=16)).layers for seed in range(SEEDS)]
+    for k, roof in enumerate(ROOFS):
+        floor = np.s_[3:13, 16 * k + 3 : 16 * k + 13]
+        bound = 0.03 if roof == "slab" else 0.02
+        for name in ("Direct", "GlossyIndirect"):
             expected, mine = ([layers[name][floor].mean((0, 1), dtype=float) for layers in some] for some in (halves, ours))
             noise = np.abs(expected[0] - expected[1]) / 2 + np.std(mine, axis=0, ddof=1) / math.sqrt(SEEDS)
             mine, expected = np.mean(mine, axis=0), np.mean(expected, axis=0)
