@@ -112,7 +112,7 @@ class Picture:
         guide_albedo, guide_normal = denoising_guides(seen)
         clear = (seen.points.behind_glass == 0)[:, None]
         if sharp is not None:
-            sharp = sharp.reshape(len(sharp), -1, 3).sum(axis=1)
+            sharp = sharp.reshape(len(sharp), sharp.shape[1] // 3, 3).sum(axis=1)
             sharp = splat(seen.points, np.float32(1 / np.pi) * clear * seen.points.albedo * sharp, seen.shape)
         expected = seen.points.albedo * clear
         if foreseen is not None:
