@@ -158,32 +158,9 @@ def _reflect_chunk(
             vr, vg, vb = wr, wg, wb  # before what lies on the way
             rays += 1
             _lamps_along(
-                scene,
-                packet,
-                rows,
-                surface,
-                expected,
-                drawn,
-                x,
-                y,
-                z,
-                error,
-                gx,
-                gy,
-                gz,
-                sx,
-                sy,
-                sz,
-                dx,
-                dy,
-                dz,
-                wr,
-                wg,
-                wb,
-                shown,
-                known,
-                i,
-            )
+                scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx,
+                dy, dz, wr, wg, wb, shown, known, i,
+            )  # fmt: skip
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
             triangle, u, v, t, tr, tg, tb, unbroken = nearest_surface(
                 scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), GLOSSY, key, index, 0

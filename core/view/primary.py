@@ -242,25 +242,8 @@ def _view_tiles(
                 if px < x0 or px >= x1 or py < y0 or py >= y1:
                     ends[lane] = tile.taken[lane]
             n_rays += trace_samples(
-                rays,
-                camera,
-                film,
-                materials,
-                geometry,
-                lamps,
-                near_lamps,
-                n_lamps,
-                tx,
-                ty,
-                lanes,
-                least,
-                ends,
-                seed,
-                packet,
-                rows,
-                surface,
-                tile,
-            )
+                rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, least, ends, seed, packet, rows, surface, tile,
+            )  # fmt: skip
             for lane in range(WIDTH):
                 if ends[lane] > least:
                     _add(

@@ -163,38 +163,27 @@ def booths(lamps, **floor):
     return scene
 
 
+METAL = {"Metallic": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("indirect", "floor"),
+    [("DiffuseIndirect", {}), ("GlossyIndirect", METAL | {"Roughness": 0.15}), ("GlossyIndirect", METAL | {"Roughness": 0.5})],
+    ids=["diffuse", "polished", "rough"],
+)
 @pytest.mark.parametrize("lamps", ["area", "world"])
-def test_light_that_passes_glass_is_indirect_light(lamps):
-    scene = booths(lamps)
-    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "lamps": lamps}
+def test_light_that_passes_glass_is_indirect_light(lamps, indirect, floor):
+    scene = booths(lamps, **floor)
+    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "lamps": lamps, "floor": floor}
     halves = cached_halves(scene, identity, size=(48, 16), spp=1024, bounces=4, seed=1)
     arrays = extract_scene(scene, size=(48, 16))
     ours = [render(arrays, RenderSettings(seed=seed, denoise=False, direct_samples=16)).layers for seed in range(SEEDS)]
     for k, roof in enumerate(ROOFS):
-        floor = np.s_[3:13, 16 * k + 3 : 16 * k + 13]
+        place = np.s_[3:13, 16 * k + 3 : 16 * k + 13]
         # Reflections to and fro within the slab are left out.
         bound = 0.03 if roof == "slab" else 0.02
-        for name in ("Direct", "DiffuseIndirect"):
-            expected, mine = ([layers[name][floor].mean((0, 1), dtype=float) for layers in some] for some in (halves, ours))
-            noise = np.abs(expected[0] - expected[1]) / 2 + np.std(mine, axis=0, ddof=1) / math.sqrt(SEEDS)
-            mine, expected = np.mean(mine, axis=0), np.mean(expected, axis=0)
-            assert (np.abs(mine - expected) <= bound * expected + 3 * noise + 1e-6).all(), (roof, name)
-            assert (expected > 1e-3).all() == ((name == "Direct") == (roof == "veil"))
-
-
-@pytest.mark.parametrize("roughness", [0.15, 0.5])
-@pytest.mark.parametrize("lamps", ["area", "world"])
-def test_what_shines_through_glass_is_reflected_as_indirect_light(lamps, roughness):
-    scene = booths(lamps, Metallic=1.0, Roughness=roughness)
-    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "lamps": lamps, "roughness": roughness}
-    halves = cached_halves(scene, identity, size=(48, 16), spp=512, bounces=4, seed=1)
-    arrays = extract_scene(scene, size=(48, 16))
-    ours = [render(arrays, RenderSettings(seed=seed, denoise=False, direct_samples=16)).layers for seed in range(SEEDS)]
-    for k, roof in enumerate(ROOFS):
-        floor = np.s_[3:13, 16 * k + 3 : 16 * k + 13]
-        bound = 0.03 if roof == "slab" else 0.02
-        for name in ("Direct", "GlossyIndirect"):
-            expected, mine = ([layers[name][floor].mean((0, 1), dtype=float) for layers in some] for some in (halves, ours))
+        for name in ("Direct", indirect):
+            expected, mine = ([layers[name][place].mean((0, 1), dtype=float) for layers in some] for some in (halves, ours))
             noise = np.abs(expected[0] - expected[1]) / 2 + np.std(mine, axis=0, ddof=1) / math.sqrt(SEEDS)
             mine, expected = np.mean(mine, axis=0), np.mean(expected, axis=0)
             assert (np.abs(mine - expected) <= bound * expected + 3 * noise + 1e-6).all(), (roof, name)
