@@ -187,15 +187,13 @@ class Picture:
         return replace(self, **found)
 
     def _direct_cleaned(self, cleaned: Callable[..., np.ndarray], quality: str | None) -> np.ndarray:
-        """The direct light without noise; sharp shadows are denoised apart, and by half, for they have little of it and much to lose."""
+        """The direct light without noise; sharp shadows are denoised apart, for they go with the noise of other lamps."""
         if self.sharp is None:
             return cleaned(self.direct, self.albedo, quality)
         soft = self.direct - self.sharp
         if not largest(soft).max() <= LEAST_SOFT * self.sharp.mean():  # nor where that is no number
             soft = cleaned(soft, self.albedo, quality)
-        clean = cleaned(self.sharp, self.albedo, quality)
-        mean = np.float32(0.5) * (self.sharp + clean)
-        return soft + np.where(np.isfinite(mean), mean, clean)
+        return soft + cleaned(self.sharp, self.albedo, quality)
 
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
         """The albedo with what mirrors and glass show, of which few rays have told, and whether it is free of noise."""
