@@ -27,6 +27,7 @@ QUICKER = {"high": "balanced", "balanced": "fast"}  # of OIDN's qualities, for l
 LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
 # What passes average; position and depth are the first one's.
 _MEANS = (*LIGHT, "albedo", "normal", "guide_albedo", "guide_normal", "foreseen")
+_MEANS_IF_THERE = ("alpha", "smooth", "glossy_albedo", "mirrored_albedo", "sharp", "shining", "shining_farther")
 
 
 class GroupLight(NamedTuple):
@@ -69,6 +70,9 @@ class Picture:
     smooth: what of the diffuse indirect light comes from a method without noise, and is left as it is by `denoised`; None for nothing.
     alpha: (H, W) float32, the part of each pixel that is not the world, None where the film is opaque.
     glossy_albedo: (H, W, 3) float32, what glossy lobes reflect, which tells the denoiser where there are any; None for nothing known.
+    mirrored_albedo: (H, W, 3) float32, albedo of what rays from narrow lobes have met, with their noise; None for nothing.
+    shining, shining_farther: (H, W, 3) float32, emission that shows behind glass and in mirrors, parts of `direct` and `glossy_indirect` that have
+        no noise; None for nothing.
     sharp: (H, W, 3) float32, what diffuse surfaces send of the light of lamps with sharp shadows, part of `direct`; None where it is not told apart.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
     """
@@ -89,6 +93,9 @@ class Picture:
     smooth: np.ndarray | None = None
     alpha: np.ndarray | None = None
     glossy_albedo: np.ndarray | None = None
+    mirrored_albedo: np.ndarray | None = None
+    shining: np.ndarray | None = None
+    shining_farther: np.ndarray | None = None
     sharp: np.ndarray | None = None
     groups: dict[str, GroupLight] = field(default_factory=dict)
 
@@ -121,13 +128,16 @@ class Picture:
             **whole._asdict(),
             albedo=seen.albedo,
             normal=seen.normal,
-            guide_albedo=guide_albedo + splat(seen.points, mirrored_albedo, seen.shape),
+            guide_albedo=guide_albedo,
             guide_normal=guide_normal,
             foreseen=splat(seen.points, expected, seen.shape),
             position=seen.position,
             depth=seen.depth,
             weight=weight,
             glossy_albedo=splat(seen.points, glossy_albedos(seen.points), seen.shape),
+            mirrored_albedo=splat(seen.points, mirrored_albedo, seen.shape) if mirrored_albedo.any() else None,
+            shining=_unless_none(seen.emission_behind_one),
+            shining_farther=_unless_none(seen.emission_behind_more),
             sharp=sharp,
             groups={} if groups is None else groups.told_apart(parts, GroupLight(*(np.zeros_like(seen.albedo) for _ in LIGHT))),
         )
@@ -140,7 +150,7 @@ class Picture:
             name: GroupLight(*(a * mine + b * its for mine, its in zip(light, other.groups[name]))) for name, light in self.groups.items()
         }
         means = {name: a * getattr(self, name) + b * getattr(other, name) for name in _MEANS}
-        for name in ("alpha", "smooth", "glossy_albedo", "sharp"):
+        for name in _MEANS_IF_THERE:
             mine, its = getattr(self, name), getattr(other, name)
             means[name] = None if mine is None or its is None else a * mine + b * its
         return replace(self, weight=whole, groups=groups, **means)
@@ -181,32 +191,35 @@ class Picture:
             found["diffuse_indirect"] = self._diffuse_cleaned(denoiser, cleaned)
         if indirect and self.glossy_indirect.any():
             guide, clean = self._mirrored_guide(denoiser, threads, quality)
-            found["glossy_indirect"] = cleaned(self.glossy_indirect, self._glossy_guide(guide), clean_aux=clean)
+            shining = np.float32(0) if self.shining_farther is None else self.shining_farther
+            found["glossy_indirect"] = shining + cleaned(self.glossy_indirect - shining, self._glossy_guide(guide), clean_aux=clean)
         if direct and self.direct.any():
             found["direct"] = self._direct_cleaned(cleaned, QUICKER.get(quality, quality))
         return replace(self, **found)
 
     def _direct_cleaned(self, cleaned: Callable[..., np.ndarray], quality: str | None) -> np.ndarray:
         """The direct light without noise; sharp shadows are denoised apart, for they go with the noise of other lamps."""
+        shining = np.float32(0) if self.shining is None else self.shining
         if self.sharp is None:
-            return cleaned(self.direct, self.albedo, quality)
-        soft = self.direct - self.sharp
+            return shining + cleaned(self.direct - shining, self.albedo, quality)
+        soft = self.direct - shining - self.sharp
         if not largest(soft).max() <= LEAST_SOFT * self.sharp.mean():  # nor where that is no number
             soft = cleaned(soft, self.albedo, quality)
-        return soft + cleaned(self.sharp, self.albedo, quality)
+        return shining + soft + cleaned(self.sharp, self.albedo, quality)
 
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
-        """The albedo with what mirrors and glass show, of which few rays have told, and whether it is free of noise."""
-        beyond = self.guide_albedo - self.albedo
-        marked = largest(beyond) > MIRRORED
-        if marked.mean() <= MIRRORED_PIXELS:
+        """The albedo with what narrow lobes show, of which few rays have told, and whether it is free of noise."""
+        if self.mirrored_albedo is None:
             return self.guide_albedo, True
+        marked = largest(self.mirrored_albedo) > MIRRORED
+        if marked.mean() <= MIRRORED_PIXELS:
+            return self.guide_albedo + self.mirrored_albedo, True
         if quality == "fast" and marked.mean() < MOSTLY_MIRRORED:
-            return self.guide_albedo, False
+            return self.guide_albedo + self.mirrored_albedo, False
         rows, columns = _around(marked)
-        guide = self.guide_albedo.copy()
-        guide[rows, columns] = self.albedo[rows, columns] + denoiser.prefilter(
-            "albedo", beyond[rows, columns], quality="fast", threads=threads
+        guide = self.guide_albedo + self.mirrored_albedo
+        guide[rows, columns] = self.guide_albedo[rows, columns] + denoiser.prefilter(
+            "albedo", self.mirrored_albedo[rows, columns], quality="fast", threads=threads
         )
         return guide, True
 
@@ -297,6 +310,11 @@ class Picture:
             offset=(camera.border[0], camera.border[1]),
             full_size=(camera.width, camera.height),
         )
+
+
+def _unless_none(light: np.ndarray) -> np.ndarray | None:
+    """`light` where there is any, else None."""
+    return light if light.any() else None
 
 
 def _around(marked: np.ndarray) -> tuple[slice, slice]:

@@ -205,6 +205,8 @@ def _reflect_chunk(
                 c = 3 * emitters.object_light_group[scene.object[triangle]]
                 r, g, b = share * wr * surface[EMISSION], share * wg * surface[EMISSION + 1], share * wb * surface[EMISSION + 2]
                 _add_shining(shown, known, i, c, unbroken, r, g, b)
+            if points.shown[i]:
+                continue
             ar, ag, ab = diffuse_albedo(surface, cosine)
             shadowed = mean_shadowing(surface[TILT])
             ar, ag, ab = shadowed * ar, shadowed * ag, shadowed * ab

@@ -12,7 +12,7 @@ from ..lamps.build import lamp_tables
 from ..lamps.groups import LightGroups
 from ..lamps.lookup import lamp_along
 from ..lamps.tables import AXIS_Z, ONE_MINUS_COS, POSITION, RADIUS, SIZE, LampTables
-from ..scene import AREA, CAMERA, SUN, TRANSMISSION, Scene
+from ..scene import AREA, CAMERA, GLOSSY, SUN, TRANSMISSION, Scene
 from .camera import camera_ray, camera_tables
 
 FILTER = 10  # pixels that the widest filter of a film reaches beyond the picture
@@ -22,13 +22,13 @@ _HALF = np.float32(0.5)
 
 
 def visible_lamps(scene: Scene, groups: LightGroups | None = None) -> LampTables:
-    """The lamps with a size that camera rays may meet, before glass or behind it; groups: the light groups to tell apart, None for none."""
+    """The lamps with a size that camera rays may meet, before glass, behind it or in mirrors; groups: the light groups to tell apart, None for none."""
     groups = LightGroups.one(scene) if groups is None else groups
     lamps = scene.lamps
     sized = np.where(lamps.kind == SUN, lamps.angle, np.where(lamps.kind == AREA, 1, lamps.radius)) > 0
     finite = np.isfinite(lamps.emission.reshape(-1, 3)).all(1)
     kept = sized & finite
-    return lamp_tables(replace(scene, lamps=lamps.take(kept)), CAMERA | TRANSMISSION, groups.lamps[kept])
+    return lamp_tables(replace(scene, lamps=lamps.take(kept)), CAMERA | GLOSSY | TRANSMISSION, groups.lamps[kept])
 
 
 def lamps_in_view(scene: Scene) -> LampTables:
@@ -91,7 +91,7 @@ def lamps_in_tile(lamps, camera, x0, y0, x1, y1, near):
 def lamps_between(lamps, near, n, seen_by, ox, oy, oz, dx, dy, dz, start, end, weight, out):
     """Adds the radiance of the lamps near[0..n-1] whose distance along the unit direction d from o lies in start..end to `out` (G, 3).
 
-    seen_by: SEEN_BY_CAMERA or SEEN_THROUGH_GLASS.  weight: (3,) float32.
+    seen_by: SEEN_BY_CAMERA, SEEN_THROUGH_GLASS or SEEN_BY_GLOSSY.  weight: (3,) float32.
     """
     for k in range(n):
         i = near[k]

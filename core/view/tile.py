@@ -4,7 +4,8 @@ A tile's samples come in two turns.  The first ones tell which pixels hold edges
 pixel's own samples asked, those that by chance miss a thin thing would never be joined by others, and thin things would fade.
 
 Surfaces with transparency are passed through at random, with exact weights, as Cycles does.  At the first surfaces of
-glass nothing is left to chance: a sample shows both what they reflect and what lies behind.
+glass nothing is left to chance: a sample shows both what they reflect and what lies behind.  So it is at mirrors: a sample shows both
+their own colour and, by a ray drawn from the lobe, what they show, which gets shading points of its own as what lies behind glass does.
 """
 
 from __future__ import annotations
@@ -14,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from ..lamps.tables import SEEN_BY_CAMERA, SEEN_THROUGH_GLASS
+from ..lamps.tables import SEEN_BY_CAMERA, SEEN_BY_GLOSSY, SEEN_THROUGH_GLASS
 from ..lamps.world import world_radiance
-from ..rays.offsets import hit_point
+from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, set_ray
 from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import uniform
-from ..scene import CAMERA, NORMAL_MAPPED, TRANSLUCENT, TRANSMISSION, TRANSPARENT
+from ..scene import CAMERA, GLOSSY, NORMAL_MAPPED, TRANSLUCENT, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import (
@@ -33,16 +34,21 @@ from ..surfaces.layout import (
     TILT,
     TRANSPARENCY,
     diffuse_albedo,
+    glossy_albedo,
     largest_kept,
     translucency,
 )
-from ..surfaces.normals import shading_normal
+from ..surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
+from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import evaluate, reflected_view
 from .camera import camera_ray, pixel_sample
 from .lamps import lamps_between
 
 TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample index
-PANES = 2  # surfaces of glass that a sample shows as well as what lies behind them
+PANES = 2  # surfaces of glass, or mirrors, that a sample shows as well as what lies behind them
+POLISHED = np.float32(0.1)  # roughness of a mirror, at most
+PERFECT = np.float32(0.02)  # the same where lamps are met by chance as well as by shadow rays
+MIRRORING = np.float32(0.3)  # share of the glossy lobe in all that a mirror reflects, at least
 MAX_LAYERS = 64  # transparent surfaces that one primary ray passes at most
 WORLD_DEPTH = np.float32(1e10)  # what Blender's depth pass has where nothing is hit
 
@@ -51,13 +57,15 @@ WORLD_DEPTH = np.float32(1e10)  # what Blender's depth pass has where nothing is
 SAME_NORMAL = np.float32(0.9)
 SAME_PLANE = np.float32(0.5)
 SAME_REACH = np.float32(3.0)
+BENT = np.float32(4.0)  # times the width of a pixel beyond a mirror: it may be curved
 # Squared deviation, by the squared mean, of what the samples of a pixel reflect and emit, above which their neighbours get more of them.
 VARIED = np.float32(0.2)
 # Columns of the pixels' layers; what is emitted by each light group, behind no glass, one surface of it, and more, comes last.
 ALBEDO, NORMALS, MEAN_NORMALS, POSITION, DEPTH, CLEAR, EMITTED = 0, 3, 6, 9, 12, 13, 14
 GLASS = 3  # kinds of what is emitted: behind no glass, one surface of it, and more
-# Bits of the way that a sample takes at a surface: it shows it, passes straight through, passes through glass.
-SHOWN, STRAIGHT, REFRACTED = 1, 2, 4
+# Bits of the way that a sample takes at a surface: it shows it, passes straight through, passes through glass, is reflected.
+SHOWN, STRAIGHT, REFRACTED, REFLECTED = 1, 2, 4, 8
+SURFACES, ALL_LIGHT = 1, 2  # what rows of their own show of a mirror's lobe
 # Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
 PLACE, ERROR, FACING, SHADED, TILTED = 0, 3, 4, 7, 10
 MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY = 0, 1, 4, 7, 10, 11
@@ -73,14 +81,17 @@ class Tile(NamedTuple):
 
     taken, count: (16,) int32, samples traced, and one more than the last row.
     hits: (16, R, 3) float32, bits of the triangle (-1 for none), u and v.  weight, direction: (16, R, 3) float32.
-    depth: (16, R) float32 (m).  glass: (16, R) int32, surfaces of glass before it.
+    depth: (16, R) float32 (m), by way of mirrors.  glass: (16, R) int32, surfaces of glass and mirrors before it.
+    kinds: (16, R) int32, of the ray that met it.  shining: (16, R) uint8, whether what shines there counts, which other rays may find.
+    shown: (16, R) uint8, `SURFACES` where these, and `ALL_LIGHT` where also what shines in its lobe has a row of its own.
     lamps: (16, GLASS, G, 3) float32, light of the lamps in view, summed over the samples, by the surfaces of glass before it.
     out: (16, C) float32, sums of the pixels' layers.  nearest: (16,) int32, the row nearest to the camera, -1 for none.
     sample: (16, R, 11) float32, position, its error, geometric and shading normal, tilt of each row.  group_of: (16, R) int32, which of the
     pixel's surfaces it shows, -1 for none.  groups: (16,) int32, how many there are.  first: (16, R) int32, the first row of each.
     group: (16, R, 14) float32, rows of each, sums of albedo, f0, f90, roughness and translucency.
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
-    origin: (16, 3), passed: (16,) float32, of the rays of a packet.
+    origin: (16, 3), passed: (16,) float32, of the rays of a packet.  axial, before: (16,) float32, depth (m) by a meter of it, and before its origin.
+    every: (A,) int32, all lamps.  lobe: (LOBE,) float32, scratch.
     """
 
     taken: np.ndarray
@@ -90,6 +101,9 @@ class Tile(NamedTuple):
     direction: np.ndarray
     depth: np.ndarray
     glass: np.ndarray
+    kinds: np.ndarray
+    shining: np.ndarray
+    shown: np.ndarray
     lamps: np.ndarray
     out: np.ndarray
     nearest: np.ndarray
@@ -102,18 +116,24 @@ class Tile(NamedTuple):
     mixed: np.ndarray
     origin: np.ndarray
     passed: np.ndarray
+    axial: np.ndarray
+    before: np.ndarray
+    every: np.ndarray
+    lobe: np.ndarray
 
 
 @kernel
-def new_tile(samples, light_groups):
-    """Room for a tile of up to `samples` samples a pixel."""
+def new_tile(samples, light_groups, lamps):
+    """Room for a tile of up to `samples` samples a pixel, in a scene with so many lamps."""
     f, i, rows = np.float32, np.int32, (1 + PANES) * samples
     return Tile(
         np.zeros(WIDTH, i), np.zeros(WIDTH, i), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f),
-        np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), i), np.empty((WIDTH, GLASS, light_groups, 3), f),
+        np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows), np.uint8), np.empty((WIDTH, rows), np.uint8),
+        np.empty((WIDTH, GLASS, light_groups, 3), f),
         np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, 11), f),
         np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, 14), f),
-        np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f),
+        np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f), np.empty(WIDTH, f), np.empty(WIDTH, f),
+        np.arange(lamps).astype(i), np.empty(LOBE, f),
     )  # fmt: skip
 
 
@@ -179,6 +199,40 @@ def _way_on(surface, x, split):
     return SHOWN, _0, _0, _0, total / kept if kept > _0 else _1
 
 
+@leaf
+def _reflected(materials, geometry, material, triangle, u, v, dx, dy, dz, glass, u1, u2, rows, surface, lobe):
+    """How a sample along d goes on from a surface that may mirror: (whether it does, origin, direction, r, g, b), with weight 0 for nowhere."""
+    x, y, z, gx, gy, gz, error = hit_point(geometry.vertices, geometry.triangles, triangle, u, v)
+    sx, sy, sz = shading_normal(geometry.corner_normals, triangle, u, v, gx, gy, gz)
+    behind = gx * dx + gy * dy + gz * dz > 0
+    cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
+    signed = -cosine if behind else cosine
+    evaluate(materials, material, geometry.attributes, triangle, u, v, reflected_view(signed) if glass > 0 else signed, rows, surface)
+    if surface[ROUGHNESS] > POLISHED:
+        return False, x, y, z, dx, dy, dz, _0, _0, _0
+    sx, sy, sz = mapped_normal(materials, material, surface, sx, sy, sz)
+    cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
+    fr, fg, fb = glossy_albedo(surface, cosine)
+    ar, ag, ab = diffuse_albedo(surface, cosine)
+    tr, tg, tb = translucency(surface, cosine)
+    shiny = fr + fg + fb
+    if not shiny > MIRRORING * (shiny + ar + ag + ab + tr + tg + tb):
+        return False, x, y, z, dx, dy, dz, _0, _0, _0
+    if behind:
+        gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+    set_lobe(
+        lobe, sx, sy, sz, gx, gy, gz, -dx, -dy, -dz, surface[ROUGHNESS],
+        surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2], surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2],
+    )  # fmt: skip
+    if not lobe[ALPHA] > _0:
+        return False, x, y, z, dx, dy, dz, _0, _0, _0
+    dx, dy, dz, r, g, b, _ = sample_lobe(lobe, u1, u2)
+    if gx * dx + gy * dy + gz * dz <= _0:
+        return True, x, y, z, dx, dy, dz, _0, _0, _0
+    x, y, z = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
+    return True, x, y, z, dx, dy, dz, r, g, b
+
+
 @inlined
 def _filtered(film, u):
     """Where in the pixel a sample lies, by a uniform u in [0, 1) and the offsets of `Film`."""
@@ -189,12 +243,12 @@ def _filtered(film, u):
 
 @leaf
 def trace_samples(
-    rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, begin, ends, seed, packet, rows, surface, tile
+    rays, camera, film, materials, polished, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, begin, ends, seed, packet, rows, surface, tile
 ):
     """Trace the samples begin..ends[lane]-1 of each pixel of the tile whose first pixel is (tx, ty); the number of rays.
 
     Pixels with the same number of samples to come fill packets of one sample each; otherwise packets are filled with what comes next.
-    lanes: (16, 2) int32, scratch.
+    polished: (M,) uint8, whether a material may mirror.  lanes: (16, 2) int32, scratch.
     """
     count = 0
     n = 0
@@ -209,12 +263,12 @@ def trace_samples(
             n += 1
             if n == WIDTH:
                 count += _trace_lanes(
-                    rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile
+                    rays, camera, film, materials, polished, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile
                 )
                 n = 0
     if n > 0:
         count += _trace_lanes(
-            rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile
+            rays, camera, film, materials, polished, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile
         )
     for pixel in range(WIDTH):
         tile.taken[pixel] = max(tile.taken[pixel], ends[pixel])
@@ -222,11 +276,13 @@ def trace_samples(
 
 
 @leaf
-def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile):
+def _trace_lanes(
+    rays, camera, film, materials, polished, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile
+):
     """Trace a packet of `n` samples, each the pixel and number of its row of `lanes`; the number of rays."""
     vertices, triangle_vertices, corner_normals = geometry.vertices, geometry.triangles, geometry.corner_normals
     attributes, material = geometry.attributes, geometry.material
-    weight, direction, depth, glass = tile.weight, tile.direction, tile.depth, tile.glass
+    weight, direction, depth, glass, kinds = tile.weight, tile.direction, tile.depth, tile.glass, tile.kinds
     origin, passed = tile.origin, tile.passed
     triangles = tile.hits.view(np.int32)
     count = n
@@ -245,7 +301,12 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
         weight[pixel, s, 0] = weight[pixel, s, 1] = weight[pixel, s, 2] = _1
         depth[pixel, s] = WORLD_DEPTH
         glass[pixel, s] = 0
+        kinds[pixel, s] = CAMERA
+        tile.shown[pixel, s] = 0
+        tile.shining[pixel, s] = 1
         passed[lane] = _0
+        tile.axial[lane] = -(dx * camera.matrix[0, 2] + dy * camera.matrix[1, 2] + dz * camera.matrix[2, 2])
+        tile.before[lane] = camera.clip[0]
     layer = 0
     active = True
     while active and layer < MAX_LAYERS:
@@ -256,10 +317,13 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
             if packet.f[T_FAR * WIDTH + lane] < 0:  # done already
                 continue
             pixel, s = lanes[lane, 0], lanes[lane, 1]
-            if n_lamps > 0:
+            mirrored = kinds[pixel, s] == GLOSSY
+            n_met = len(tile.every) if mirrored else n_lamps
+            if n_met > 0 and tile.shining[pixel, s]:
                 end = hit_t(packet, lane) if triangle >= 0 else np.float32(np.inf)
+                seen_by = SEEN_BY_GLOSSY if mirrored else SEEN_THROUGH_GLASS if glass[pixel, s] > 0 else SEEN_BY_CAMERA
                 lamps_between(
-                    lamps, near_lamps, n_lamps, SEEN_THROUGH_GLASS if glass[pixel, s] > 0 else SEEN_BY_CAMERA,
+                    lamps, tile.every if mirrored else near_lamps, n_met, seen_by,
                     origin[lane, 0], origin[lane, 1], origin[lane, 2],
                     direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2], passed[lane], end,
                     weight[pixel, s], tile.lamps[pixel, min(glass[pixel, s], 2)],
@@ -269,39 +333,62 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                 continue
             u, v, t = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
             dx, dy, dz = direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2]
-            axial = -(dx * camera.matrix[0, 2] + dy * camera.matrix[1, 2] + dz * camera.matrix[2, 2])
+            number = (ty + pixel // TILE) * camera.size[0] + tx + pixel % TILE
             way, r, g, b, w = SHOWN, _0, _0, _0, _1
+            ox, oy, oz = origin[lane, 0], origin[lane, 1], origin[lane, 2]
             if materials.flags[material[triangle]] & TRANSPARENT:
                 cosine = _view_cosine(vertices, triangle_vertices, corner_normals, triangle, u, v, dx, dy, dz, glass[pixel, s])
                 evaluate(materials, material[triangle], attributes, triangle, u, v, cosine, rows, surface)
-                number = (ty + pixel // TILE) * camera.size[0] + tx + pixel % TILE
                 way, r, g, b, w = _way_on(surface, uniform(seed, number, s, 2 + layer), glass[pixel, s] < PANES)
+            elif polished[material[triangle]] and glass[pixel, s] < PANES:
+                mirrors, ox, oy, oz, dx, dy, dz, r, g, b = _reflected(
+                    materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, glass[pixel, s],
+                    uniform(seed, number, s, 100 + layer), uniform(seed, number, s, 200 + layer), rows, surface, tile.lobe,
+                )  # fmt: skip
+                if mirrors:
+                    tile.shown[pixel, s] = ALL_LIGHT if surface[ROUGHNESS] <= PERFECT else SURFACES
+                    if max(r, g, b) > _0:
+                        way = SHOWN | REFLECTED
             if way & SHOWN:
                 row = s
                 if way != SHOWN:  # the sample goes on beyond a pane, which gets a row of its own
                     row = tile.count[pixel]
                     tile.count[pixel] += 1
-                    glass[pixel, row] = glass[pixel, s]
-                    direction[pixel, row, 0], direction[pixel, row, 1], direction[pixel, row, 2] = dx, dy, dz
+                    glass[pixel, row], kinds[pixel, row] = glass[pixel, s], kinds[pixel, s]
+                    tile.shown[pixel, row], tile.shining[pixel, row] = tile.shown[pixel, s], tile.shining[pixel, s]
+                    tile.shown[pixel, s] = 0
+                    for c in range(3):
+                        direction[pixel, row, c] = direction[pixel, s, c]
                 for c in range(3):
                     weight[pixel, row, c] = w * weight[pixel, s, c]
                 triangles[pixel, row, 0] = triangle
                 tile.hits[pixel, row, 1], tile.hits[pixel, row, 2] = u, v
-                depth[pixel, row] = camera.clip[0] + t * axial
+                depth[pixel, row] = tile.before[lane] + t * tile.axial[lane]
             if way == SHOWN:
                 disable_ray(packet, lane)
                 continue
             weight[pixel, s, 0] *= r
             weight[pixel, s, 1] *= g
             weight[pixel, s, 2] *= b
-            if way & REFRACTED:
+            start, far = _0, np.float32(np.inf)
+            if way & REFLECTED:
+                origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
+                direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2] = dx, dy, dz
+                tile.before[lane] += t * tile.axial[lane]
                 glass[pixel, s] += 1
-            # Past the hit by a few rounding errors of t, so that the surface is not met again.
-            start = t + np.float32(4e-6) * (t + camera.clip[0])
-            far = (camera.clip[1] - camera.clip[0]) / axial
-            kinds = TRANSMISSION if glass[pixel, s] > 0 else CAMERA
-            set_ray(packet, lane, origin[lane, 0], origin[lane, 1], origin[lane, 2], dx, dy, dz, start, far, kinds)
-            passed[lane] = t
+                kinds[pixel, s] = GLOSSY
+                tile.shining[pixel, s] = surface[ROUGHNESS] <= PERFECT
+                passed[lane] = _0
+            else:
+                if way & REFRACTED:
+                    glass[pixel, s] += 1
+                    kinds[pixel, s] = TRANSMISSION
+                # Past the hit by a few rounding errors of t, so that the surface is not met again.
+                start = t + np.float32(4e-6) * (t + camera.clip[0])
+                if kinds[pixel, s] == CAMERA:
+                    far = (camera.clip[1] - camera.clip[0]) / tile.axial[lane]
+                passed[lane] = t
+            set_ray(packet, lane, ox, oy, oz, dx, dy, dz, start, far, kinds[pixel, s])
             count += 1
             active = True
         layer += 1
@@ -332,7 +419,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             emitted = before + 3 * GLASS * world_group
             if not behind_glass:
                 out[CLEAR] += (wr + wg + wb) * _THIRD
-            if world_visibility & (TRANSMISSION if behind_glass else CAMERA):
+            if world_visibility & tile.kinds[pixel, s] and tile.shining[pixel, s]:
                 er, eg, eb = world_radiance(world, dx, dy, dz)
                 out[emitted] += wr * er
                 out[emitted + 1] += wg * eg
@@ -368,6 +455,8 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
                 out[MEAN_NORMALS + 2] += part * sz
             emitted = before + 3 * GLASS * light_group[object_of[triangle]]
             er, eg, eb = wr * surface[EMISSION], wg * surface[EMISSION + 1], wb * surface[EMISSION + 2]
+            if not tile.shining[pixel, s]:
+                er = eg = eb = _0
             out[emitted] += er
             out[emitted + 1] += eg
             out[emitted + 2] += eb
@@ -377,10 +466,13 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             if nearest < 0 or depth[pixel, s] < depth[pixel, nearest]:
                 nearest = s
             footprint = pixel_width if camera.orthographic else pixel_width * depth[pixel, s]
+            if tile.kinds[pixel, s] == GLOSSY:
+                footprint *= BENT
             k = 0
             while k < groups:
                 f = first[k]
                 alike = object_of[triangles[pixel, f, 0]] == object_of[triangle] and (glass[pixel, f] > 0) == behind_glass
+                alike = alike and tile.shown[pixel, f] == tile.shown[pixel, s]
                 if alike and _same_surface(
                     x, y, z, sx, sy, sz, sample[f, PLACE], sample[f, PLACE + 1], sample[f, PLACE + 2],
                     sample[f, SHADED], sample[f, SHADED + 1], sample[f, SHADED + 2], footprint,
@@ -397,6 +489,9 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             group[k, G_ALBEDO] += lit * ar
             group[k, G_ALBEDO + 1] += lit * ag
             group[k, G_ALBEDO + 2] += lit * ab
+            if tile.shown[pixel, s] == ALL_LIGHT:
+                for c in range(3):
+                    surface[GLOSSY_F0 + c] = surface[GLOSSY_F90 + c] = _0
             fr, fg, fb = surface[GLOSSY_F90] * wr, surface[GLOSSY_F90 + 1] * wg, surface[GLOSSY_F90 + 2] * wb
             group[k, G_F0] += surface[GLOSSY_F0] * wr
             group[k, G_F0 + 1] += surface[GLOSSY_F0 + 1] * wg

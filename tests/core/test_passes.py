@@ -142,12 +142,12 @@ class Recorder:
 
 
 def mirrored(rows, columns):
-    """A picture whose guide shows an albedo of 1/2 in a mirror of so many pixels, where it has none itself."""
+    """A picture in which rays from lobes met an albedo of 1/2 in a mirror of so many pixels, where it has none itself."""
     one, zero = np.ones((100, 100, 3), np.float32), np.zeros((100, 100, 3), np.float32)
-    albedo, guide = one.copy(), one.copy()
+    albedo, shown = one.copy(), zero.copy()
     albedo[40 : 40 + rows, 40 : 40 + columns] = 0
-    guide[40 : 40 + rows, 40 : 40 + columns] = 0.5
-    return Picture(one, one, one, albedo, zero, one, guide, one, albedo, zero, zero[..., 0])
+    shown[40 : 40 + rows, 40 : 40 + columns] = 0.5
+    return Picture(one, one, one, albedo, zero, one, albedo, one, albedo, zero, zero[..., 0], mirrored_albedo=shown)
 
 
 @pytest.mark.parametrize(
@@ -166,4 +166,4 @@ def test_what_mirrors_show_guides_reflections_alone(rows, quality, clean, filter
     (ratio, _, _), (diffuse, _, _), (glossy, told, _), (direct, _, _) = recorder.guides
     assert ratio is None and np.array_equal(diffuse, picture.albedo) and np.array_equal(direct, picture.albedo)
     assert told == clean and recorder.filtered == filtered
-    assert np.array_equal(glossy, picture.albedo if filtered else picture.guide_albedo)
+    assert np.array_equal(glossy, picture.albedo if filtered else picture.albedo + picture.mirrored_albedo)
