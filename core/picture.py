@@ -10,6 +10,7 @@ import numpy as np
 
 from .denoise import Denoiser, mean_factor, pull_push
 from .group_shares import shares_of
+from .jit import kernel
 from .lamps import LightGroups
 from .layers import GROUP_LAYERS, Layers
 from .scene import Scene
@@ -47,17 +48,11 @@ class GroupLight(NamedTuple):
         Glass is a bounce, as in Cycles: all light of the surfaces behind it is indirect, and specular, whatever it is to
         them.  What shines behind it is direct light after one surface of glass, indirect light after more.
         """
-        shape, points = seen.shape, seen.points
-        diffuse = points.albedo * np.float32(1 / np.pi)
-        first, later = diffuse * direct + glossy_direct, diffuse * indirect
-        behind = points.behind_glass[:, None] > 0
         emission, behind_one, behind_more = emitted
-        return GroupLight(
-            splat(points, first * ~behind, shape) + behind_one,
-            splat(points, later * ~behind, shape),
-            splat(points, glossy_indirect + (first + later) * behind, shape) + behind_more,
-            emission,
-        )
+        layers = behind_one.copy(), np.zeros_like(behind_one), behind_more.copy()
+        light = (np.ascontiguousarray(part) for part in (direct, indirect, glossy_direct, glossy_indirect))
+        _add_light(seen.points, *light, *(layer.reshape(-1, 3) for layer in layers))
+        return GroupLight(*layers, emission)
 
 
 @dataclass(frozen=True)
@@ -330,11 +325,32 @@ def largest(image: np.ndarray) -> np.ndarray:
 
 def splat(points: ShadingPoints, radiance: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Sum of the radiance (N, 3) of each pixel's points, (H, W, 3)."""
-    n = shape[0] * shape[1]
-    out = np.empty((n, 3), np.float32)
-    for c in range(3):
-        out[:, c] = np.bincount(points.pixel, radiance[:, c], n)
+    out = np.zeros((shape[0] * shape[1], 3), np.float32)
+    _splat(points.pixel, radiance, out)
     return out.reshape(*shape, 3)
+
+
+@kernel
+def _splat(pixel, radiance, out):
+    for i in range(len(pixel)):
+        for c in range(3):
+            out[pixel[i], c] += radiance[i, c]
+
+
+@kernel
+def _add_light(points, direct, indirect, glossy_direct, glossy_indirect, to_direct, to_diffuse, to_glossy):
+    """Adds the light (N, 3) of points to layers (H * W, 3); of points behind glass all of it to the last one."""
+    for i in range(len(points.pixel)):
+        pixel = points.pixel[i]
+        for c in range(3):
+            diffuse = points.albedo[i, c] * np.float32(1 / np.pi)
+            first, later = diffuse * direct[i, c] + glossy_direct[i, c], diffuse * indirect[i, c]
+            if points.behind_glass[i]:
+                to_glossy[pixel, c] += glossy_indirect[i, c] + first + later
+            else:
+                to_direct[pixel, c] += first
+                to_diffuse[pixel, c] += later
+                to_glossy[pixel, c] += glossy_indirect[i, c]
 
 
 def nearest_triangles(seen: View) -> np.ndarray:

@@ -24,8 +24,8 @@ RECTANGLE, ELLIPSE = 0, 1
 # Name of the light group of all that has none, so that the groups add up to the whole.
 REMAINDER = "Remainder"
 
-# Flags of a material (`Materials.flags`).
-EMISSIVE, TRANSPARENT, GLOSSY_LOBE, CONSTANT, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT = 1, 2, 4, 8, 16, 32, 64
+# Flags of a material (`Materials.flags`); the last one is set for views alone (core/view/mirrors.py).
+EMISSIVE, TRANSPARENT, GLOSSY_LOBE, CONSTANT, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, MIRRORING = 1, 2, 4, 8, 16, 32, 64, 128
 
 
 @dataclass

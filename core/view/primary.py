@@ -28,7 +28,7 @@ from ..threads import Progress, run_chunks
 from .camera import camera_tables
 from .lamps import lamps_in_tile, visible_lamps
 from .points import SPREAD, ShadingPoints
-from .polished import polished_materials
+from .mirrors import with_mirrors
 from .tile import (
     ALBEDO,
     CLEAR,
@@ -197,11 +197,11 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
 
 @kernel
 def _view_tiles(
-    rays, camera, film, materials, polished, geometry, lamps, world, world_visibility, world_group, begin, end, least, most, seed, points, layers, tile
+    rays, camera, film, materials, geometry, lamps, world, world_visibility, world_group, begin, end, least, most, seed, points, layers, tile
 ):  # fmt: skip
     """Trace, evaluate and group the samples of the tiles begin..end-1, `least` to `most` a pixel.
 
-    film: (K,) float32 as `Film.offsets` has them.  polished: (M,) uint8, from `polished_materials`.
+    film: (K,) float32 as `Film.offsets` has them.  materials: from `with_mirrors`.
     world_group: light group of the world.  points: room for all that can come.  tile: room for one.  layers: (H * W, EMITTED + 9 G) float32.
     Returns the number of points and of rays.
     """
@@ -232,7 +232,7 @@ def _view_tiles(
             within = px < camera.size[0] and py < camera.size[1]
             ends[lane] = least if within else 0
         n_rays += trace_samples(
-            rays, camera, film, materials, polished, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, 0, ends, seed, packet, rows, surface, tile
+            rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, 0, ends, seed, packet, rows, surface, tile
         )
         for lane in range(WIDTH):
             _add(camera, materials, geometry, world, world_visibility, world_group, pixel_width, lane, 0, most, most, rows, surface, tile)
@@ -244,7 +244,7 @@ def _view_tiles(
                 if px < x0 or px >= x1 or py < y0 or py >= y1:
                     ends[lane] = tile.taken[lane]
             n_rays += trace_samples(
-                rays, camera, film, materials, polished, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, least, ends, seed, packet, rows, surface, tile,
+                rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, least, ends, seed, packet, rows, surface, tile,
             )  # fmt: skip
             for lane in range(WIDTH):
                 if ends[lane] > least:
@@ -300,9 +300,8 @@ def view(
     chunk = 64
     g = scene.geometry
     geometry = _Geometry(g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object, groups.objects)
-    tables = (rays, camera, with_viewer(scene), geometry, visible_lamps(scene, groups), world)
+    tables = (rays, camera, with_mirrors(with_viewer(scene), g), geometry, visible_lamps(scene, groups), world)
     n_lamps = len(tables[4].kind)
-    polished = polished_materials(tables[2], g)
     rays, camera, materials, geometry, lamps, world = (Reference(table) for table in tables)
     offsets = film.offsets()
     seen_by = scene.world.visibility & ~CAMERA if film.transparent else scene.world.visibility
@@ -312,7 +311,7 @@ def view(
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * WIDTH * (1 + PANES) * most * sides)
         n, n_rays = _view_tiles(
-            rays, camera, offsets, materials, polished, geometry, lamps, world, seen_by, groups.world,
+            rays, camera, offsets, materials, geometry, lamps, world, seen_by, groups.world,
             begin, end, least, most, np.uint32(seed), Reference(room), layers, Reference(new_tile(most, len(groups.names), n_lamps)),
         )  # fmt: skip
         return room.first(n), n_rays

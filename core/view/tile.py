@@ -21,7 +21,7 @@ from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, set_ray
 from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import uniform
-from ..scene import CAMERA, GLOSSY, NORMAL_MAPPED, TRANSLUCENT, TRANSMISSION, TRANSPARENT
+from ..scene import CAMERA, GLOSSY, MIRRORING, NORMAL_MAPPED, TRANSLUCENT, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import (
@@ -48,7 +48,7 @@ TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample ind
 PANES = 2  # surfaces of glass, or mirrors, that a sample shows as well as what lies behind them
 POLISHED = np.float32(0.1)  # roughness of a mirror, at most
 PERFECT = np.float32(0.02)  # the same where lamps are met by chance as well as by shadow rays
-MIRRORING = np.float32(0.3)  # share of the glossy lobe in all that a mirror reflects, at least
+SHINY = np.float32(0.3)  # share of the glossy lobe in all that a mirror reflects, at least
 MAX_LAYERS = 64  # transparent surfaces that one primary ray passes at most
 WORLD_DEPTH = np.float32(1e10)  # what Blender's depth pass has where nothing is hit
 
@@ -216,7 +216,7 @@ def _reflected(materials, geometry, material, triangle, u, v, dx, dy, dz, glass,
     ar, ag, ab = diffuse_albedo(surface, cosine)
     tr, tg, tb = translucency(surface, cosine)
     shiny = fr + fg + fb
-    if not shiny > MIRRORING * (shiny + ar + ag + ab + tr + tg + tb):
+    if not shiny > SHINY * (shiny + ar + ag + ab + tr + tg + tb):
         return False, x, y, z, dx, dy, dz, _0, _0, _0
     if behind:
         gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
@@ -243,12 +243,12 @@ def _filtered(film, u):
 
 @leaf
 def trace_samples(
-    rays, camera, film, materials, polished, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, begin, ends, seed, packet, rows, surface, tile
+    rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, begin, ends, seed, packet, rows, surface, tile
 ):
     """Trace the samples begin..ends[lane]-1 of each pixel of the tile whose first pixel is (tx, ty); the number of rays.
 
     Pixels with the same number of samples to come fill packets of one sample each; otherwise packets are filled with what comes next.
-    polished: (M,) uint8, whether a material may mirror.  lanes: (16, 2) int32, scratch.
+    lanes: (16, 2) int32, scratch.
     """
     count = 0
     n = 0
@@ -263,12 +263,12 @@ def trace_samples(
             n += 1
             if n == WIDTH:
                 count += _trace_lanes(
-                    rays, camera, film, materials, polished, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile
+                    rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile
                 )
                 n = 0
     if n > 0:
         count += _trace_lanes(
-            rays, camera, film, materials, polished, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile
+            rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile
         )
     for pixel in range(WIDTH):
         tile.taken[pixel] = max(tile.taken[pixel], ends[pixel])
@@ -276,9 +276,7 @@ def trace_samples(
 
 
 @leaf
-def _trace_lanes(
-    rays, camera, film, materials, polished, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile
-):
+def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, n, seed, packet, rows, surface, tile):
     """Trace a packet of `n` samples, each the pixel and number of its row of `lanes`; the number of rays."""
     vertices, triangle_vertices, corner_normals = geometry.vertices, geometry.triangles, geometry.corner_normals
     attributes, material = geometry.attributes, geometry.material
@@ -340,7 +338,7 @@ def _trace_lanes(
                 cosine = _view_cosine(vertices, triangle_vertices, corner_normals, triangle, u, v, dx, dy, dz, glass[pixel, s])
                 evaluate(materials, material[triangle], attributes, triangle, u, v, cosine, rows, surface)
                 way, r, g, b, w = _way_on(surface, uniform(seed, number, s, 2 + layer), glass[pixel, s] < PANES)
-            elif polished[material[triangle]] and glass[pixel, s] < PANES:
+            elif materials.flags[material[triangle]] & MIRRORING and glass[pixel, s] < PANES:
                 mirrors, ox, oy, oz, dx, dy, dz, r, g, b = _reflected(
                     materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, glass[pixel, s],
                     uniform(seed, number, s, 100 + layer), uniform(seed, number, s, 200 + layer), rows, surface, tile.lobe,

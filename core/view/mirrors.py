@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel
-from ..scene import CONSTANT, GLOSSY_LOBE, TRANSPARENT, Geometry, MaterialTables
+from ..scene import CONSTANT, GLOSSY_LOBE, MIRRORING, TRANSPARENT, Geometry, MaterialTables
 from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE
 from ..surfaces.lobes import NEGLIGIBLE
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
@@ -38,17 +38,17 @@ def _look(materials, attributes, material, step, found):
         seen[m] += 1
 
 
-def polished_materials(materials: MaterialTables, geometry: Geometry) -> np.ndarray:
-    """Whether each material may mirror, (M,) uint8: opaque ones with a glossy lobe no rougher than `POLISHED`, for textured ones somewhere.
+def with_mirrors(materials: MaterialTables, geometry: Geometry) -> MaterialTables:
+    """The tables with `MIRRORING` set where a material may mirror: opaque ones with a lobe no rougher than `POLISHED`, for textured ones somewhere.
 
     A textured one is looked at in some places; where it mirrors elsewhere only, its lobe is sampled as any other.
     """
     lobes = (materials.flags & GLOSSY_LOBE > 0) & (materials.flags & TRANSPARENT == 0)
     constant = materials.flags & CONSTANT > 0
-    found = np.array([l and c and _is_polished(s) for l, c, s in zip(lobes, constant, materials.constant)], np.uint8)
+    found = np.array([_is_polished(surface) for surface in materials.constant], bool) & lobes & constant
     textured = lobes & ~constant
     if textured.any():
         count = np.bincount(geometry.material, minlength=len(found))
         step = np.where(textured, -(-count // LOOKS), 0)
         _look(materials, geometry.attributes, geometry.material, step, found)
-    return found
+    return materials._replace(flags=materials.flags | np.int32(MIRRORING) * found)
