@@ -10,7 +10,7 @@ Pixels of B and C far brighter than D are cut: that changes the mean of the prod
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -92,7 +92,7 @@ class Passes:
 
     def _clean(self, picture: Picture, denoiser: Denoiser | None) -> np.ndarray:
         """Its indirect light (H, W, 3), denoised if there is a denoiser, in double precision."""
-        clean = picture.denoised(denoiser, self.threads, direct=False, quality="balanced") if denoiser else picture
+        clean = replace(picture, points=()).denoised(denoiser, self.threads, direct=False, quality="balanced") if denoiser else picture
         return clean.indirect.astype(np.float64)
 
 

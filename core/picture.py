@@ -14,6 +14,7 @@ from .jit import kernel
 from .lamps import LightGroups
 from .layers import GROUP_LAYERS, Layers
 from .scene import Scene
+from .subpixel import PointLight, give_back, joined
 from .surfaces.lobes import NEGLIGIBLE
 from .view.points import GRAZING, ShadingPoints, glossy_albedos
 from .view.primary import View
@@ -70,6 +71,7 @@ class Picture:
         no noise; None for nothing.
     sharp: (H, W, 3) float32, what diffuse surfaces send of the light of lamps with sharp shadows, part of `direct`; None where it is not told apart.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
+    points: diffuse indirect light of the passes' shading points, which knows more than that of pixels; empty where it is not kept.
     """
 
     direct: np.ndarray
@@ -93,6 +95,7 @@ class Picture:
     shining_farther: np.ndarray | None = None
     sharp: np.ndarray | None = None
     groups: dict[str, GroupLight] = field(default_factory=dict)
+    points: tuple[PointLight, ...] = ()
 
     @staticmethod
     def compose(
@@ -148,7 +151,7 @@ class Picture:
         for name in _MEANS_IF_THERE:
             mine, its = getattr(self, name), getattr(other, name)
             means[name] = None if mine is None or its is None else a * mine + b * its
-        return replace(self, weight=whole, groups=groups, **means)
+        return replace(self, weight=whole, groups=groups, points=joined(self.points, other.points), **means)
 
     @property
     def indirect(self) -> np.ndarray:
@@ -183,7 +186,11 @@ class Picture:
             if noisy.any():
                 found["diffuse_indirect"] = self.smooth + cleaned(noisy, self.albedo, clean_aux=True)
         elif indirect and self.diffuse_indirect.any():
-            found["diffuse_indirect"] = self._diffuse_cleaned(denoiser, cleaned)
+            clean = self._diffuse_cleaned(denoiser, cleaned)
+            if self.points and quality != "fast":
+                clean = give_back(clean, self.foreseen, self.points, threads)
+                clean *= mean_factor(self.diffuse_indirect, clean)
+            found["diffuse_indirect"] = clean
         if indirect and self.glossy_indirect.any():
             guide, clean = self._mirrored_guide(denoiser, threads, quality)
             shining = np.float32(0) if self.shining_farther is None else self.shining_farther

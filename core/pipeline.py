@@ -37,6 +37,7 @@ from .stages import (
     single_lights,
     within_reach,
 )
+from .subpixel import PointLight
 from .threads import thread_count
 from .topology import IN_MEMORY, Topologies, Topology
 from .transport import Transport
@@ -356,5 +357,8 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
     smooth = None
     if settings.smooth:
         smooth = splat(points, points.albedo * np.float32(1 / np.pi) * indirect * (points.behind_glass == 0)[:, None], seen.shape)
+    if foreseen is not None and run.sequence is None:
+        light = PointLight.of(points, indirect + light.irradiance_by_glass, foreseen, scene.camera, weight)
+        picture = replace(picture, points=(light,))
     alpha = np.float32(1) - seen.clear if settings.film.transparent else None
     return replace(picture, smooth=smooth, alpha=alpha, triangle=nearest_triangles(seen) if run.sequence else None)

@@ -27,8 +27,8 @@ from ..surfaces.program import new_registers, with_viewer
 from ..threads import Progress, run_chunks
 from .camera import camera_tables
 from .lamps import lamps_in_tile, visible_lamps
-from .points import SPREAD, ShadingPoints
 from .mirrors import with_mirrors
+from .points import SPREAD, ShadingPoints
 from .tile import (
     ALBEDO,
     CLEAR,
