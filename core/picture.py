@@ -29,7 +29,7 @@ QUICKER = {"high": "balanced", "balanced": "fast"}  # of OIDN's qualities, for l
 LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
 # What passes average; position and depth are the first one's.
 _MEANS = (*LIGHT, "albedo", "normal", "guide_albedo", "guide_normal", "foreseen")
-_MEANS_IF_THERE = ("alpha", "smooth", "glossy_albedo", "mirrored_albedo", "sharp", "shining", "shining_farther")
+_MEANS_IF_THERE = ("alpha", "smooth", "glossy_albedo", "mirrored_albedo", "own_normal", "sharp", "shining", "shining_farther")
 
 
 class GroupLight(NamedTuple):
@@ -66,6 +66,7 @@ class Picture:
     smooth: what of the diffuse indirect light comes from a method without noise, and is left as it is by `denoised`; None for nothing.
     alpha: (H, W) float32, the part of each pixel that is not the world, None where the film is opaque.
     glossy_albedo: (H, W, 3) float32, what glossy lobes reflect, which tells the denoiser where there are any; None for nothing known.
+    own_normal: (H, W, 3) float32, `guide_normal` without what lies behind glass and in mirrors; None for the same.
     mirrored_albedo: (H, W, 3) float32, albedo of what rays from narrow lobes have met, with their noise; None for nothing.
     shining, shining_farther: (H, W, 3) float32, emission that shows behind glass and in mirrors, parts of `direct` and `glossy_indirect` that have
         no noise; None for nothing.
@@ -90,6 +91,7 @@ class Picture:
     smooth: np.ndarray | None = None
     alpha: np.ndarray | None = None
     glossy_albedo: np.ndarray | None = None
+    own_normal: np.ndarray | None = None
     mirrored_albedo: np.ndarray | None = None
     shining: np.ndarray | None = None
     shining_farther: np.ndarray | None = None
@@ -128,6 +130,7 @@ class Picture:
             normal=seen.normal,
             guide_albedo=guide_albedo,
             guide_normal=guide_normal,
+            own_normal=None if guide_normal is seen.mean_normal else seen.mean_normal,
             foreseen=splat(seen.points, expected, seen.shape),
             position=seen.position,
             depth=seen.depth,
@@ -172,11 +175,13 @@ class Picture:
         direct, indirect: which light.  quality: as `Denoiser.denoise` has it.
         """
 
+        own = self.guide_normal if self.own_normal is None else self.own_normal
+
         def cleaned(
-            image: np.ndarray, guide: np.ndarray | None, quality: str | None = quality, preserve_mean: bool = True, **options
+            image: np.ndarray, guide: np.ndarray | None, quality: str | None = quality, preserve_mean: bool = True, normal=own, **options
         ) -> np.ndarray:
             return denoiser.denoise(
-                image, guide, self.guide_normal, position=self.position, quality=quality, threads=threads, preserve_mean=preserve_mean,
+                image, guide, normal, position=self.position, quality=quality, threads=threads, preserve_mean=preserve_mean,
                 **options,
             )  # fmt: skip
 
@@ -194,7 +199,9 @@ class Picture:
         if indirect and self.glossy_indirect.any():
             guide, clean = self._mirrored_guide(denoiser, threads, quality)
             shining = np.float32(0) if self.shining_farther is None else self.shining_farther
-            found["glossy_indirect"] = shining + cleaned(self.glossy_indirect - shining, self._glossy_guide(guide), clean_aux=clean)
+            found["glossy_indirect"] = shining + cleaned(
+                self.glossy_indirect - shining, self._glossy_guide(guide), clean_aux=clean, normal=self.guide_normal
+            )
         if direct and self.direct.any():
             found["direct"] = self._direct_cleaned(cleaned, QUICKER.get(quality, quality))
         return replace(self, **found)
