@@ -19,7 +19,8 @@ from ..settings import RenderSettings, SequenceSettings
 from ..soundness import sound
 from ..threads import Progress
 from ..transport import Transport
-from ..view.lamps import lamps_in_view
+from ..view.lamps import lamps_in_view, visible_lamps
+from ..view.mirrors import has_mirrors
 from ..view.points import ShadingPoints
 from ..view.primary import View
 from .history import Estimate, averaged, with_light
@@ -142,7 +143,8 @@ class Sequence:
 
     def view(self, scene: Scene, settings: RenderSettings, compute) -> View:
         """What the camera sees, by `compute()` only where anything of it has changed."""
-        shown = (scene.camera, scene.geometry, scene.materials, scene.world, lamps_in_view(scene), settings.pixel_samples, settings.seed)
+        lamps = visible_lamps(scene) if has_mirrors(scene) else lamps_in_view(scene)
+        shown = (scene.camera, scene.geometry, scene.materials, scene.world, lamps, settings.pixel_samples, settings.seed)
         if self._view is None or not alike(self._view[0], shown):
             self._view = shown, compute()
             self.built["views"] += 1

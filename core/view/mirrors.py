@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel
-from ..scene import CONSTANT, GLOSSY_LOBE, MIRRORING, TRANSPARENT, Geometry, MaterialTables
+from ..scene import CONSTANT, GLOSSY_LOBE, MIRRORING, TRANSPARENT, Geometry, MaterialTables, Scene
 from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE
 from ..surfaces.lobes import NEGLIGIBLE
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
@@ -52,3 +52,8 @@ def with_mirrors(materials: MaterialTables, geometry: Geometry) -> MaterialTable
         step = np.where(textured, -(-count // LOOKS), 0)
         _look(materials, geometry.attributes, geometry.material, step, found)
     return materials._replace(flags=materials.flags | np.int32(MIRRORING) * found)
+
+
+def has_mirrors(scene: Scene) -> bool:
+    """Whether the camera may see in a mirror what does not lie in its view."""
+    return bool((with_mirrors(scene.materials.tables, scene.geometry).flags & MIRRORING).any())

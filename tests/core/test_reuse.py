@@ -12,6 +12,7 @@ from lumigate.core.pipeline import remember, render, scout
 from lumigate.core.reuse import Sequence
 from lumigate.core.reuse.history import Estimate, reproject, trust
 from lumigate.core.settings import RenderSettings, SequenceSettings
+from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90
 
 SETTINGS = RenderSettings(method="importance-sampling", vpls=64, samples=2, gather=2, pixel_samples=4, direct_samples=1, denoise=False)
 SIZE = 24
@@ -31,6 +32,14 @@ def room(build):
     geometry.material[6:8] = 1  # the wall at +y shines
     camera = build.camera((0, 0, 1.9), SIZE, SIZE)
     return build.scene(geometry, build.materials((0.6, 0), (0.3, 3)), camera=camera)
+
+
+def polished(scene):
+    """The same with walls that mirror."""
+    tables = scene.materials.tables
+    tables = tables._replace(flags=tables.flags | sc.GLOSSY_LOBE, constant=tables.constant.copy())
+    tables.constant[0, GLOSSY_F0 : GLOSSY_F90 + 3] = 0.9
+    return replace(scene, materials=replace(scene.materials, tables=tables))
 
 
 def moved_camera(scene, offset):
@@ -88,6 +97,7 @@ def test_a_lamp_that_is_not_seen_leaves_the_view_as_it_is(room, kind):
 
     assert frames([lit(-1, 0), lit(-1, 0.1)], history=1)[1]["views"] == 1
     assert frames([lit(1, 0), lit(1, 0.1)], history=1)[1]["views"] == 2
+    assert frames([polished(lit(-1, 0)), polished(lit(-1, 0.1))], history=1)[1]["views"] == 2  # a mirror may show it
 
 
 def test_probes_are_renewed_in_turn_and_never_outlive_the_light(room):
