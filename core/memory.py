@@ -10,7 +10,7 @@ from .settings import RenderSettings
 
 # Bytes, from peaks of the process at several sizes (docs/stress.md): of a triangle with its place in Embree's tree; of a pixel in all
 # layers, denoised; of a shading point with its light and its share of the cache of light; of a VPL and what it is drawn from.
-TRIANGLE, PIXEL, POINT, VPL = 300, 662, 370, 1000
+TRIANGLE, PIXEL, POINT, VPL = 300, 662, 430, 1000
 POINTS_A_PIXEL = 1.6  # distinct surfaces in a pixel, in scenes of fine detail; never more than there are samples
 BASE = 600 << 20  # code, tables, Blender
 SHARE = 0.9  # of the free memory that may be used
