@@ -13,7 +13,7 @@ from ..rays.packet import new_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import cosine_hemisphere, to_world
-from ..scene import DIFFUSE, GLOSSY
+from ..scene import DIFFUSE, GLOSSY, REFRACTIVE
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import LOBE
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
@@ -49,6 +49,7 @@ def _probe_path(
     if gx * dx + gy * dy + gz * dz <= 0:
         return 0
     kinds = DIFFUSE
+    in_glass = False
     rays = 0
     for vertex in range(depth + 1):
         at = (vertex + 1) * DIMENSIONS
@@ -78,6 +79,10 @@ def _probe_path(
             probes.carry[link, 0] *= r
             probes.carry[link, 1] *= g
             probes.carry[link, 2] *= b
+            if in_glass:  # the cells of a solid's sides do not know which light leaves it: none may give more than it gets
+                for c in range(3):
+                    probes.carry[link, c] = min(probes.carry[link, c], _1)
+        in_glass = scene.materials.flags[scene.material[triangle]] & REFRACTIVE != 0
         if vertex == depth:
             return rays
         probes.valid[probe] = 1
