@@ -16,6 +16,9 @@ direction drawn from the lobe: all of them together shine as the lobe does, blur
 Real-Time Polygonal-Light Shading with Linearly Transformed Cosines): 1 / sqrt(1 + b) times as wide, b their sharpness.
 Only diffuse reflections count as bounces, as in Cycles; the first surface that a lamp lights is free in any case.
 
+Glass: a particle flies against the path that finds it, from behind; what a surface lets through is what it does for that path.  Whether that
+path begins within the glass is known where the particle lands: until then it owes the difference for each front that it has passed.
+
 Translucent surfaces: a particle that is drawn to go through leaves its VPL on the other side, and flies on from there.
 """
 
@@ -34,7 +37,7 @@ from .rays.trace import ALL, intersect_packet
 from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
-from .scene import DIFFUSE, GLOSSY_LOBE, SHADOW, TRANSLUCENT, TRANSPARENT
+from .scene import DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SHADOW, TRANSLUCENT, TRANSPARENT
 from .surfaces.bumps import shadowing
 from .surfaces.layout import (
     GLOSSY_F0,
@@ -46,13 +49,13 @@ from .surfaces.layout import (
     WIDE,
     diffuse_albedo_average,
     glossy_albedo,
-    passing_chance,
+    largest_kept,
     translucency_average,
 )
 from .surfaces.lobes import ALPHA, LOBE, NORMAL, VIEWER, sample_lobe, set_lobe
 from .surfaces.normals import mapped_normal, shading_normal, surface_side
 from .surfaces.program import new_registers
-from .surfaces.visibility import evaluate_along
+from .surfaces.visibility import OUTSIDE, evaluate_along, passed_glass
 from .threads import Progress, run_chunks
 from .transport import Transport
 
@@ -65,6 +68,7 @@ LEAST_POWER = 1.0  # of the mean share of its light that a particle keeps at a f
 SHARPEST = np.float32(8.0)
 # Times 1 / roughness^4: the sharpness of a light that shines about as widely as the lobe that its direction was drawn from.
 _AS_WIDE = np.float32(0.25)
+_NESTED = 4  # fronts of glass, each within the last, that a particle owes for
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -108,6 +112,13 @@ class Vpls(NamedTuple):
     def concatenate(parts: list[Vpls]) -> Vpls:
         """All lights of `parts`, in order."""
         return Vpls(*(np.concatenate(arrays) for arrays in zip(*parts))) if parts else Vpls.allocate(0)
+
+
+@inlined
+def is_ahead(vpls, j, x, y, z):
+    """Whether a point lies on the side of its surface that light j shines on: glass does not hide a light from what is behind it."""
+    dx, dy, dz = x - vpls.position[j, 0], y - vpls.position[j, 1], z - vpls.position[j, 2]
+    return vpls.surface_normal[j, 0] * dx + vpls.surface_normal[j, 1] * dy + vpls.surface_normal[j, 2] * dz > _0
 
 
 @inlined
@@ -193,6 +204,8 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
     flying = np.empty(WIDTH, np.bool_)
     scattered = np.empty(WIDTH, np.int32)  # diffuse reflections so far, and one for the first surface in any case
     lobe = np.zeros(LOBE, np.float32)
+    entered = np.empty(WIDTH, np.int64)
+    owed = np.empty((WIDTH, _NESTED), np.float32)
     n = 0
     n_rays = 0
     albedo_sum = 0.0
@@ -211,6 +224,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
             born[lane] = r + g + b
             flying[lane] = emitter[lane] >= 0 and max(r, g, b) > 0
             scattered[lane] = 0
+            entered[lane] = OUTSIDE
         for bounce in range(len(survivors)):
             landed_any = False
             for lane in range(WIDTH):
@@ -242,17 +256,31 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     u, v, t = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
                     dx, dy, dz = direction[lane, 0], direction[lane, 1], direction[lane, 2]
                     x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
-                    evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface)
-                    through = False
-                    if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
+                    behind = gx * dx + gy * dy + gz * dz > 0
+                    flags = scene.materials.flags[scene.material[triangle]]
+                    reverse = flags & REFRACTIVE and behind and entered[lane] == OUTSIDE
+                    if reverse:
+                        evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
                         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
-                        chance = passing_chance(surface)
+                    evaluate_along(scene, triangle, u, v, dx, dy, dz, entered[lane], rows, surface)
+                    through = False
+                    if flags & TRANSPARENT:
+                        if not reverse:
+                            tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
+                        chance = max(tr, tg, tb)
+                        chance = chance / (chance + largest_kept(surface)) if chance > _0 else _0
                         i = base + lane
                         if uniform(seed, i, bounce, 16 + passed) < chance:
                             flux[lane, 0] *= tr / chance
                             flux[lane, 1] *= tg / chance
                             flux[lane, 2] *= tb / chance
                             through = True
+                            if flags & REFRACTIVE:
+                                if not behind:
+                                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
+                                    within = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
+                                    owed[lane, min(entered[lane], _NESTED - 1)] = within / (tr + tg + tb)
+                                entered[lane] = passed_glass(entered[lane], behind)
                         else:  # the albedo at a hit is that of what does not let light through
                             flux[lane, 0] /= _1 - chance
                             flux[lane, 1] /= _1 - chance
@@ -273,8 +301,12 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         continue
                     sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                     sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
+                    if not (flags & REFRACTIVE and behind):  # else it stays within the glass
+                        for k in range(min(entered[lane], _NESTED)):
+                            for c in range(3):
+                                flux[lane, c] *= owed[lane, k]
+                        entered[lane] = OUTSIDE
                     cos_g = gx * dx + gy * dy + gz * dz
-                    behind = cos_g > 0
                     if behind:
                         gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
                         cos_g = -cos_g

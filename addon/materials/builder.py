@@ -32,7 +32,9 @@ _CLOSURES = frozenset(
 _VARYING = frozenset(
     {ops.ATTRIBUTE, ops.DISPLACED, ops.FOOTPRINT, ops.TEXTURE, ops.TEXTURE_BOX, ops.FRESNEL, ops.FACING, ops.BACKFACING, ops.VIEWED}
 )
-_VIEW_DEPENDENT = frozenset({ops.FRESNEL, ops.FACING, ops.BACKFACING, ops.VIEWED, ops.GLASS_CLOSURE, ops.COAT_CLOSURE, ops.SHEEN_CLOSURE})
+_VIEW_DEPENDENT = frozenset(
+    {ops.FRESNEL, ops.FACING, ops.BACKFACING, ops.VIEWED, ops.GLASS_CLOSURE, ops.REFRACTION_CLOSURE, ops.COAT_CLOSURE, ops.SHEEN_CLOSURE}
+)
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from ..surfaces.bumps import mean_shadowing, shadowing
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count, set_lobe
 from ..surfaces.program import new_registers
-from ..surfaces.visibility import transmittance1
+from ..surfaces.visibility import OUTSIDE, transmittance1
 from ..threads import Progress, run_chunks
 from .lookup import can_be_met, emitter_density, share_of
 from .sample import sample_emitter
@@ -69,6 +69,7 @@ class Receivers(NamedTuple):
     albedo: np.ndarray
     spread: np.ndarray
     tilt: np.ndarray
+    entered: np.ndarray
 
 
 @inlined
@@ -186,22 +187,26 @@ def shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error, dx, dy, dz, t):
 
 
 @leaf
-def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end):
-    """Share of light (r, g, b) that a shadow ray lets through up to t = end, and the share of that which passed no glass."""
+def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, entered):
+    """Share of light (r, g, b) that a shadow ray lets through up to t = end, and the share of that which passed no glass.
+
+    entered: solids of glass that the path has entered before.
+    """
     if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, SHADOW):
         return _0, _0, _0, _1
     if not scene.emitters.cutouts:
         return _1, _1, _1, _1
-    r, g, b, clear = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, SHADOW)
+    r, g, b, clear = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, SHADOW, entered)
     return r, g, b, max(_0, clear)
 
 
 @leaf
-def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
+def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, entered, seed, path, dimension):
     """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine and the emitter of its light (-1: none), and its cosine with g; the mean is exact.
 
     For the tails of paths: random numbers are hashed from (seed, path, dimension, 0..3).
     scene: Transport.  packet, rows, surface: scratch.  g, s: geometric and shading normal, on the lit side.
+    entered: solids of glass that the path has entered.
     """
     emitters = scene.emitters
     chosen = -1
@@ -238,7 +243,7 @@ def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, s
     w = cosine * total / (chosen_estimate * probability)
     if emitters.flags[e] & CASTS_SHADOW:
         ox, oy, oz, dx, dy, dz, end = shadow_ray(scene, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t)
-        tr, tg, tb, _ = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end)
+        tr, tg, tb, _ = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, entered)
         r, g, b = r * tr, g * tg, b * tb
     return w * r, w * g, w * b, cosine, e, across
 
@@ -246,7 +251,9 @@ def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, s
 @leaf
 def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
     """The irradiance of `direct_sample_at`."""
-    r, g, b, _, _, _ = direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension)
+    r, g, b, _, _, _ = direct_sample_at(
+        scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, OUTSIDE, seed, path, dimension
+    )
     return r, g, b
 
 
@@ -461,8 +468,8 @@ def _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, s
 
 
 @leaf
-def _trace(scene, packet, rows, surface, rays, n):
-    """Trace the first n rays -> how many shadow rays these are."""
+def _trace(scene, packet, rows, surface, points, start, rays, n):
+    """Trace the first n rays of the points from `start` on -> how many shadow rays these are."""
     cast = 0
     for begin in range(0, n, WIDTH):
         end = min(begin + WIDTH, n)
@@ -481,7 +488,10 @@ def _trace(scene, packet, rows, surface, rays, n):
                 if is_occluded(packet, j - begin):
                     tr = tg = tb = _0
                 elif scene.emitters.cutouts:
-                    tr, tg, tb, clear = transmittance1(scene, packet, rows, surface, p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW)
+                    entered = np.int64(points.entered[start + rays.point[j]])
+                    tr, tg, tb, clear = transmittance1(
+                        scene, packet, rows, surface, p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW, entered
+                    )
                     if clear < _0:  # a lens throws it elsewhere: a caustic, which is not found
                         tr = tg = tb = _0
             rays.through[j, 0], rays.through[j, 1], rays.through[j, 2], rays.clear[j] = tr, tg, tb, clear
@@ -550,13 +560,13 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
             _prepare(scene, points, start + k, k, samples, reflections, seed, first, spare, block)
             guided = guided or block.first[k] > 0
         n = _aim(scene, points, start, size, block, seed, first, rows, surface, rays)
-        n_rays += _trace(scene, packet, rows, surface, rays, n)
+        n_rays += _trace(scene, packet, rows, surface, points, start, rays, n)
         n_later = np.int64(0)
         if guided:
             _learn(scene, points, start, size, rays, n, guide)
             n_later = _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, surface, later)
         _collect(rays, n, start, guide, out, glossy)  # not before the later ones are aimed, which tell what share the first have
-        n_rays += _trace(scene, packet, rows, surface, later, n_later)
+        n_rays += _trace(scene, packet, rows, surface, points, start, later, n_later)
         _collect(later, n_later, start, guide, out, glossy)
     return n_rays
 
@@ -624,7 +634,18 @@ def direct_light(
         tilt = getattr(points, "tilt", np.zeros(len(points.position), np.float32))
         spread = getattr(points, "spread", np.zeros((len(points.position), 0, 3), np.float32))
         receivers = Receivers(
-            points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none, spread, tilt
+            points.position,
+            points.ns,
+            points.ng,
+            points.error,
+            none,
+            none,
+            none,
+            np.zeros(0, np.float32),
+            none,
+            spread,
+            tilt,
+            np.zeros(len(points.position), np.uint8),
         )
     receivers = Reference(receivers)
     n, columns = len(points.position), 3 * scene.emitters.light_groups

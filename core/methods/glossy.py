@@ -22,7 +22,7 @@ from ..rays.packet import new_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.sequences import sobol
-from ..scene import CONSTANT, EMISSIVE, GLOSSY, NORMAL_MAPPED, TRANSLUCENT
+from ..scene import CONSTANT, EMISSIVE, GLOSSY, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import (
     DIFFUSE,
@@ -39,8 +39,8 @@ from ..surfaces.layout import (
 )
 from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, reflection_count, sample_lobe
 from ..surfaces.normals import shading_normal, surface_side
-from ..surfaces.program import evaluate, new_registers, reflected_view
-from ..surfaces.visibility import nearest_surface
+from ..surfaces.program import evaluate, from_within, new_registers, reflected_view
+from ..surfaces.visibility import OUTSIDE, nearest_surface
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
@@ -90,7 +90,8 @@ def _add_shining(shown, by_glass, i, c, clear, r, g, b):
 
 @leaf
 def _lamps_along(
-    scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, wr, wg, wb, shown, by_glass, i
+    scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, entered, wr, wg, wb,
+    shown, by_glass, i,
 ):  # fmt: skip
     """Adds the radiance of the lamps along d, weighed by w and the share of rays drawn with the density `drawn`, to row i of `shown`, or of
     `by_glass`.  Lamps hide nothing, neither each other nor what lies behind them.
@@ -106,7 +107,7 @@ def _lamps_along(
         tr = tg = tb = clear = _1
         if emitters.flags[e] & CASTS_SHADOW:
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-            tr, tg, tb, clear = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t * _SHORT)
+            tr, tg, tb, clear = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t * _SHORT, entered)
         tr, tg, tb = wr * w * tr * emitters.radiance[e, 0], wg * w * tg * emitters.radiance[e, 1], wb * w * tb * emitters.radiance[e, 2]
         _add_shining(shown, by_glass, i, 3 * emitters.light_group[e], clear, tr, tg, tb)
 
@@ -147,6 +148,7 @@ def _reflect_chunk(
         sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
         expected_samples(emitters, x, y, z, sx, sy, sz, samples, estimate, count, expected)
         key = hash_combine(seed, i)
+        entered = np.int64(points.entered[i])
         wide = (shared.gather[i] > 0 or shared.lights) and is_wide(lobe)
         for s in range(n):
             index = first * n + s
@@ -159,11 +161,11 @@ def _reflect_chunk(
             rays += 1
             _lamps_along(
                 scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx,
-                dy, dz, wr, wg, wb, shown, known, i,
+                dy, dz, entered, wr, wg, wb, shown, known, i,
             )  # fmt: skip
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-            triangle, u, v, t, tr, tg, tb, unbroken = nearest_surface(
-                scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), GLOSSY, key, index, 0
+            triangle, u, v, t, tr, tg, tb, unbroken, inside = nearest_surface(
+                scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), GLOSSY, key, index, 0, entered
             )
             wr, wg, wb = wr * tr, wg * tg, wb * tb
             if triangle < 0:
@@ -181,17 +183,10 @@ def _reflect_chunk(
             cosine = min(_1, abs(nx * dx + ny * dy + nz * dz))
             narrow = surface[ROUGHNESS] < NARROW and max(surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]) > NEGLIGIBLE
             if (narrow or flags & EMISSIVE) and not flags & CONSTANT:  # it may depend on the view
-                evaluate(
-                    scene.materials,
-                    material,
-                    scene.attributes,
-                    triangle,
-                    u,
-                    v,
-                    reflected_view(-cosine if behind else cosine),
-                    rows,
-                    surface,
-                )
+                view = reflected_view(-cosine if behind else cosine)
+                if flags & REFRACTIVE and behind and inside == OUTSIDE:
+                    view = from_within(view)
+                evaluate(scene.materials, material, scene.attributes, triangle, u, v, view, rows, surface)
             if flags & NORMAL_MAPPED:
                 nx, ny, nz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
                 cosine = min(_1, abs(nx * dx + ny * dy + nz * dz))
@@ -284,6 +279,7 @@ def _reflect_chunk(
             hits.wo[n_hits, 0], hits.wo[n_hits, 1], hits.wo[n_hits, 2] = -dx, -dy, -dz
             hits.error[n_hits], hits.roughness[n_hits] = p_error, surface[ROUGHNESS]
             hits.pixel[n_hits], hits.triangle[n_hits] = owner[i], triangle
+            hits.entered[n_hits] = min(inside, 255)
             n_hits += 1
     return n_hits, rays
 

@@ -20,7 +20,7 @@ import numpy as np
 from ..jit import inlined, kernel, leaf
 from ..lamps import focus_share, focused
 from ..lamps.direct import set_point_lobe
-from ..particles import Vpls, trace_by_power
+from ..particles import Vpls, is_ahead, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
 from ..rays.packet import (
@@ -50,7 +50,7 @@ from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
-from ..surfaces.visibility import nearest_surface, transmittance1
+from ..surfaces.visibility import OUTSIDE, nearest_surface, transmittance1
 from ..threads import Progress, part, run_chunks
 from ..transport import Transport, is_translucent
 from ..view.points import ShadingPoints, is_transmitting, shares
@@ -195,13 +195,14 @@ def _gathered(
         u, v, t = hit[lane, 0], hit[lane, 1], hit[lane, 2]
         wr = wg = wb = _1 / np.float32(counts[k])
         tr = tg = tb = _1
+        entered = OUTSIDE
         if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
             ox, oy, oz = offset_origin(
                 points.position[k, 0], points.position[k, 1], points.position[k, 2],
                 points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz,
             )  # fmt: skip
-            triangle, u, v, t, tr, tg, tb, _ = nearest_surface(
-                scene, single, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, 60
+            triangle, u, v, t, tr, tg, tb, _, entered = nearest_surface(
+                scene, single, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, 60, OUTSIDE
             )
             if triangle < 0:
                 continue
@@ -245,8 +246,8 @@ def _gathered(
         if sx * gx + sy * gy + sz * gz < 0:
             sx, sy, sz = -sx, -sy, -sz
         path_light(
-            scene, single, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, bounces + more, seed, path,
-            out, k, wr, wg, wb, own, sheen,
+            scene, single, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered,
+            bounces + more, seed, path, out, k, wr, wg, wb, own, sheen,
         )  # fmt: skip
 
 
@@ -277,8 +278,10 @@ def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, li
             r, g, b, _ = transmittance1(
                 scene, packet, rows, surface,
                 f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
-                f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane], _0, _1, DIFFUSE,
+                f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane], _0, _1, DIFFUSE, OUTSIDE,
             )  # fmt: skip
+            if not is_ahead(vpls, j, points.position[k, 0], points.position[k, 1], points.position[k, 2]):
+                r = g = b = _0
         w = value[lane] * np.float32(3.0) / (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2])
         c = 3 * scene.emitters.light_group[vpls.emitter[j]]
         r, g, b = w * r * vpls.flux[j, 0], w * g * vpls.flux[j, 1], w * b * vpls.flux[j, 2]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel
-from ..particles import Vpls
+from ..particles import Vpls, is_ahead
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_triangle, hit_u, hit_v, new_packet, set_ray
 from ..rays.trace import ALL, intersect_packet
@@ -21,7 +21,7 @@ from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import LOBE
 from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
-from ..surfaces.visibility import nearest_surface, shadow_packet
+from ..surfaces.visibility import OUTSIDE, nearest_surface, shadow_packet
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
@@ -92,6 +92,9 @@ def _shade(scene, vpls, points, begin, end, g_max, visibility, cutouts, out):
                 k = lane_of[lane]
                 f = min(g[k], g_max)
                 tr, tg, tb = through[lane, 0], through[lane, 1], through[lane, 2]
+                at = points.position[begin + k]
+                if cutouts and not is_ahead(vpls, j, at[0], at[1], at[2]):
+                    continue
                 part[k, 0] += f * r * tr
                 part[k, 1] += f * gr * tg
                 part[k, 2] += f * b * tb
@@ -155,11 +158,12 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                 path = np.uint32(k * samples + s)
                 u, v = hit_uv[lane, 0], hit_uv[lane, 1]
                 wr = wg = wb = _1
+                entered = OUTSIDE
                 if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
                     cosine = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
                     ox, oy, oz = offset_origin(px, py, pz, points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz)
-                    triangle, u, v, _, wr, wg, wb, _ = nearest_surface(
-                        scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.sqrt(cosine / g_max), DIFFUSE, seed, path, 60
+                    triangle, u, v, _, wr, wg, wb, _, entered = nearest_surface(
+                        scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.sqrt(cosine / g_max), DIFFUSE, seed, path, 60, OUTSIDE
                     )
                     if triangle < 0:
                         continue
@@ -201,6 +205,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                     -dx,
                     -dy,
                     -dz,
+                    entered,
                     bounces,
                     seed,
                     path,

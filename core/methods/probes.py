@@ -13,12 +13,12 @@ from ..rays.packet import new_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import cosine_hemisphere, to_world
-from ..scene import DIFFUSE
+from ..scene import DIFFUSE, GLOSSY, REFRACTIVE
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import LOBE
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
-from ..surfaces.visibility import nearest_surface
+from ..surfaces.visibility import OUTSIDE, nearest_surface
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
@@ -37,7 +37,9 @@ _1 = np.float32(1.0)
 
 
 @leaf
-def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, turn):
+def _probe_path(
+    scene, packet, rows, surface, lobe, probes, first, depth, x, y, z, error, gx, gy, gz, sx, sy, sz, entered, seed, path, turn
+):
     """One path from a visible point: up to `depth` probes from row `first` on, each with its link; the rays traced.
 
     turn: paths that differ in it alone part at the surface after `DEPTH` probes.
@@ -47,6 +49,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
     if gx * dx + gy * dy + gz * dz <= 0:
         return 0
     kinds = DIFFUSE
+    in_glass = False
     rays = 0
     for vertex in range(depth + 1):
         at = (vertex + 1) * DIMENSIONS
@@ -55,8 +58,8 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
             seed = hash_combine(seed, turn)
         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
         rays += 1
-        triangle, u, v, t, r, g, b, _ = nearest_surface(
-            scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), kinds, seed, path, at + 8
+        triangle, u, v, t, r, g, b, _, entered = nearest_surface(
+            scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), kinds, seed, path, at + 8, entered
         )
         if triangle < 0:
             return rays
@@ -76,6 +79,10 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
             probes.carry[link, 0] *= r
             probes.carry[link, 1] *= g
             probes.carry[link, 2] *= b
+            if in_glass:  # the cells of a solid's sides do not know which light leaves it: none may give more than it gets
+                for c in range(3):
+                    probes.carry[link, c] = min(probes.carry[link, c], _1)
+        in_glass = scene.materials.flags[scene.material[triangle]] & REFRACTIVE != 0
         if vertex == depth:
             return rays
         probes.valid[probe] = 1
@@ -84,13 +91,15 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, x, y, 
         probes.position[probe, 0], probes.position[probe, 1], probes.position[probe, 2] = x, y, z
         probes.normal[probe, 0], probes.normal[probe, 1], probes.normal[probe, 2] = gx, gy, gz
         tx, ty, tz, r, g, b, kinds = scatter_light(
-            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, LAMP_RAYS, True, seed, path, at,
+            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered, LAMP_RAYS, True, seed, path, at,
             probes.direct, probes.shine, probe, _1, _1, _1, _1,
         )  # fmt: skip
         rays += LAMP_RAYS
         probes.carry[probe, 0], probes.carry[probe, 1], probes.carry[probe, 2] = r, g, b
         if kinds == 0:
             return rays
+        if kinds != GLOSSY:
+            entered = OUTSIDE
         dx, dy, dz = tx, ty, tz
     return rays
 
@@ -110,7 +119,7 @@ def _probe_chunk(scene, points, start, number, begin, end, depth, turn, seed, pr
             scene, packet, rows, surface, lobe, probes, k * depth, depth,
             points.position[i, 0], points.position[i, 1], points.position[i, 2], points.error[i],
             points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
-            seed, np.uint32(path), np.uint32(turn + k),
+            np.int64(points.entered[i]), seed, np.uint32(path), np.uint32(turn + k),
         )  # fmt: skip
     return rays
 

@@ -28,7 +28,7 @@ from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TILT, W
 from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, sample_lobe, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
-from ..surfaces.visibility import nearest_surface
+from ..surfaces.visibility import OUTSIDE, nearest_surface
 from ..threads import run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints, is_transmitting
@@ -46,13 +46,13 @@ DIMENSIONS = 100
 
 @leaf
 def scatter_light(
-    scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, lamp_rays, diffuse, seed, path, at,
+    scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, lamp_rays, diffuse, seed, path, at,
     out, shine, i, kr, kg, kb, sheen,
 ):  # fmt: skip
     """What a surface sends towards w at first hand, and a ray that finds the rest.
 
     (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
-    overwritten.  lobe: (LOBE,) float32, scratch.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn.  at: first dimension.
+    overwritten.  lobe: (LOBE,) float32, scratch.  entered: solids of glass that the surface lies in, to its view.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn.  at: first dimension.
     out, shine: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, of what
     comes through, and of a `WIDE` glossy lobe, to that of `out`, of another glossy one, times `sheen`, to that of `shine`.
 
@@ -71,7 +71,7 @@ def scatter_light(
         if k == lamp_rays:
             side = -_1
         r, g, b, cosine, e, across = direct_sample_at(
-            scene, packet, rows, surface, x, y, z, error, side * gx, side * gy, side * gz, side * sx, side * sy, side * sz, seed, path, at + 20 + k
+            scene, packet, rows, surface, x, y, z, error, side * gx, side * gy, side * gz, side * sx, side * sy, side * sz, entered, seed, path, at + 20 + k
         )  # fmt: skip
         if e < 0:
             continue
@@ -127,7 +127,7 @@ def scatter_light(
 
 @leaf
 def path_light(
-    scene, packet, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, bounces, seed, path,
+    scene, packet, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, bounces, seed, path,
     out, i, kr, kg, kb, own, sheen,
 ):  # fmt: skip
     """Adds one sample of pi times the radiance that a surface sends towards w, weighed by k, to row i of `out`.
@@ -144,14 +144,17 @@ def path_light(
     for vertex in range(bounces + _MORE_SURFACES):
         at = vertex * DIMENSIONS
         first = own if vertex == 0 else _1
+        shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else _1
         dx, dy, dz, tr, tg, tb, kinds = scatter_light(
-            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, 1, left > 0, seed, path, at,
-            out, out, i, first * kr * wr, first * kg * wg, first * kb * wb, sheen / max(own, np.float32(1e-6)) if vertex == 0 else _1,
+            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, 1, left > 0, seed, path, at,
+            out, out, i, first * kr * wr, first * kg * wg, first * kb * wb, shine,
         )  # fmt: skip
         if kinds == 0:
             break
         if kinds == DIFFUSE:
             left -= 1
+        if kinds != GLOSSY:
+            entered = OUTSIDE
         wr, wg, wb = wr * tr, wg * tg, wb * tb
         if vertex > 0:  # russian roulette by what the path still carries
             go_on = min(np.float32(0.95), max(wr, wg, wb))
@@ -159,8 +162,8 @@ def path_light(
                 break
             wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-        triangle, u, v, t, r, g, b, _ = nearest_surface(
-            scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), kinds, seed, path, at + 8
+        triangle, u, v, t, r, g, b, _, entered = nearest_surface(
+            scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), kinds, seed, path, at + 8, entered
         )
         if triangle < 0:
             break
@@ -203,7 +206,7 @@ def _tail_chunk(scene, cache, near, points, begin, end, bounces, seed, out):
         path_light(
             scene, packet, rows, surface, lobe, cache, near, points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
-            points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], bounces + is_transmitting(points, i), seed, np.uint32(i),
+            points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], np.int64(points.entered[i]), bounces + is_transmitting(points, i), seed, np.uint32(i),
             out, i, weight, weight, weight, _1, _1,
         )  # fmt: skip
 

@@ -15,7 +15,7 @@ from ..rays.trace import COHERENT, CUTOUT, OPAQUE, intersect_packet, occluded_pa
 from ..scene import DIFFUSE
 from ..surfaces.layout import SURFACE
 from ..surfaces.program import new_registers
-from ..surfaces.visibility import nearest_surface
+from ..surfaces.visibility import OUTSIDE, nearest_surface
 from ..threads import run_chunks
 from ..transport import Transport
 
@@ -96,9 +96,9 @@ def _cut_out(scene, packet, rows, surface, x, y, z, direction, inside, m, row0, 
         if found[lane]:
             row, column = row0 + lane // TILE, column0 + lane % TILE
             path = np.uint32((m * resolution + row) * resolution + column)
-            _, _, _, depth, _, _, _, _ = nearest_surface(
+            _, _, _, depth, _, _, _, _, _ = nearest_surface(
                 scene, packet, rows, surface, x, y, z, direction[lane, 0], direction[lane, 1], direction[lane, 2],
-                maps[m, row, column], kinds, seed, path, 61,
+                maps[m, row, column], kinds, seed, path, 61, OUTSIDE,
             )  # fmt: skip
             maps[m, row, column] = depth
             count += 1

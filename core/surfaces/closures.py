@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined
+from ..jit import inlined, leaf
 from . import ggx
 from .layout import (
     DIFFUSE,
@@ -33,6 +33,8 @@ F = np.float32
 
 # Added to |cosine| where not the camera looks, but light that is reflected on (see `program.reflected_view`).
 REFLECTED = F(4)
+# Added as well where the back of glass is seen by a view that began within it (see `program.from_within`).
+WITHIN = F(8)
 
 
 @inlined
@@ -155,10 +157,41 @@ def glossy(surface, r, g, b, roughness, multiple, wr, wg, wb):
 
 
 @inlined
-def refraction(surface, r, g, b, wr, wg, wb):
-    """Refraction BSDF: lets (r, g, b) straight through."""
+def _through(surface, r, g, b, wr, wg, wb):
+    """Lets (r, g, b) straight through, as glass does."""
     add(surface, TRANSPARENCY, wr, wg, wb, r, g, b)
     add(surface, REFRACTION, wr, wg, wb, r, g, b)
+
+
+@inlined
+def refraction(surface, r, g, b, ior, wr, wg, wb, cosine):
+    """Refraction BSDF: lets (r, g, b) straight through, and keeps all where a view from within is reflected totally.
+
+    cosine: see `program.evaluate`.
+    """
+    if cosine <= -WITHIN and dielectric_fresnel(cosine, ior) >= F(1):
+        return
+    _through(surface, r, g, b, wr, wg, wb)
+
+
+@leaf
+def _reflectance_within(ior, roughness, cosine):
+    """What glass reflects (0..1) of light that comes from within it at `cosine` (0..1): all beyond the critical angle.
+
+    The mean of the Fresnel term over visible GGX normals; those that lean across the plane of incidence count as if they did not.
+    """
+    alpha = roughness * roughness
+    if alpha < F(1e-3):
+        return dielectric_fresnel(-cosine, ior)
+    sine = np.sqrt(max(F(1) - cosine * cosine, F(0)))
+    reflected = seen = F(0)
+    for k in range(8):
+        x = F(0.25) * (F(k) + F(0.5)) - F(1)
+        slope = alpha * x / np.sqrt(F(1) - x * x)
+        weight = max(cosine + slope * sine, F(0))
+        reflected += weight * dielectric_fresnel(-min(weight / np.sqrt(F(1) + slope * slope), F(1)), ior)
+        seen += weight
+    return reflected / seen
 
 
 @inlined
@@ -171,19 +204,25 @@ def _dielectric_albedo(f0, roughness, cosine):
 
 
 @inlined
-def glass(surface, r, g, b, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
+def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine):
     """Glass: reflects its Fresnel term times (tr, tg, tb), lets the rest times (r, g, b) straight through.
 
-    cosine: see `program.evaluate`.  Seen from within it reflects what it does from outside: no view bends on its way in.
+    cosine: see `program.evaluate`.  Its back reflects what its front does, for a view that entered by the front was not bent there; one
+    that began within may be reflected totally, unless the glass is a thin wall.
     """
     roughness = min(max(roughness, F(0)), F(1))
     ior = max(ior, F(1e-5))
-    f0 = f0_of_ior(ior)
-    through = F(1) - _dielectric_albedo(f0, roughness, cosine) if ior != F(1) else F(1)
-    refraction(surface, r, g, b, wr * through, wg * through, wb * through)
+    f0, f90 = f0_of_ior(ior), F(1)
+    through = F(1)
+    if cosine <= -WITHIN and ior > F(1) and not thin:
+        f0 = f90 = _reflectance_within(ior, roughness, view_cosine(cosine))
+        through -= f0
+    elif ior != F(1):
+        through -= _dielectric_albedo(f0, roughness, cosine)
+    _through(surface, r, g, b, wr * through, wg * through, wb * through)
     tr, tg, tb = max(tr, F(0)), max(tg, F(0)), max(tb, F(0))
     if ior != F(1):
-        _add_glossy(surface, wr, wg, wb, f0 * tr, f0 * tg, f0 * tb, tr, tg, tb, roughness)
+        _add_glossy(surface, wr, wg, wb, f0 * tr, f0 * tg, f0 * tb, f90 * tr, f90 * tg, f90 * tb, roughness)
 
 
 @inlined
@@ -238,7 +277,15 @@ def coat(surface, strength, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
 def view_cosine(cosine):
     """|cosine| of the view, of `program.evaluate`'s argument; the cosine-weighted mean 2/3 for the mean over the views."""
     c = abs(cosine)
+    c = c - WITHIN if c >= WITHIN else c
     return c if c <= F(1) else c - REFLECTED if c >= REFLECTED else F(2 / 3)
+
+
+@inlined
+def is_camera_view(cosine):
+    """Whether `program.evaluate`'s argument is a view of the camera's."""
+    c = abs(cosine)
+    return c <= F(1) or WITHIN <= c < WITHIN + REFLECTED
 
 
 @inlined

@@ -26,6 +26,15 @@ def shading_normal(corner_normals, triangle, u, v, gx, gy, gz):
 
 
 @inlined
+def sees_back(vertices, triangles, triangle, dx, dy, dz):
+    """Whether a ray along d meets the back of a triangle."""
+    a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+    ex, ey, ez = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+    fx, fy, fz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    return (ey * fz - ez * fy) * dx + (ez * fx - ex * fz) * dy + (ex * fy - ey * fx) * dz > np.float32(0.0)
+
+
+@inlined
 def mapped_normal(materials, material, surface, sx, sy, sz):
     """The normal that the evaluated material gives the surface, on the front of the triangle; s where it gives none."""
     if materials.flags[material] & NORMAL_MAPPED:

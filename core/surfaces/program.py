@@ -50,10 +50,10 @@ MEAN_VIEW = 2.0
     DIFFUSE_CLOSURE,  # colour a
     EMISSION_CLOSURE,  # radiance a
     TRANSPARENT_CLOSURE,  # colour a
-    REFRACTION_CLOSURE,  # colour a
+    REFRACTION_CLOSURE,  # colour a, ior b.x
     GLOSSY_CLOSURE,  # colour a, roughness b.x, p: multiple scattering
     METAL_CLOSURE,  # colour a, roughness b.x, tint at 82 degrees c, p: multiple scattering
-    GLASS_CLOSURE,  # colour a, (roughness, ior) b, tint of the reflection c
+    GLASS_CLOSURE,  # colour a, (roughness, ior) b, tint of the reflection c, p: a thin wall
     DIELECTRIC_CLOSURE,  # base colour a, (roughness, ior, specular level) b, tint c, p: multiple scattering
     SHEEN_CLOSURE,  # (weight, roughness) a, tint b; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
@@ -108,12 +108,21 @@ def reflected_view(cosine):
 
 
 @inlined
+def from_within(cosine):
+    """What `evaluate` takes for a view (cosine below 0, or `reflected_view` of it) of the back of glass that it did not enter by a front.
+
+    To Cycles it comes from within a solid, the medium that the index of refraction is of: it is reflected totally beyond the critical angle.
+    """
+    return cosine - closures.WITHIN
+
+
+@inlined
 def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface):
     """Writes the surface of `material` at a point of a triangle into `surface`, (SURFACE,) float32.
 
     tables: MaterialTables.  attributes: (K, T, 3, 4).  (u, v): barycentric, weights of corners 1 and 2.
     cosine: of the camera's view with the shading normal, below 0 where the back of the triangle is seen;
-        `reflected_view(cosine)` for any other view; MEAN_VIEW for the mean over those.
+        `reflected_view(cosine)` for any other view; MEAN_VIEW for the mean over those; see also `from_within`.
     rows: from `new_registers`.
     """
     if tables.flags[material] & CONSTANT:
@@ -181,7 +190,7 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
         elif op == BACKFACING:
             x = y = z = F(1) if cosine < F(0) else F(0)
         elif op == VIEWED:
-            x = y = z = F(1) if abs(cosine) <= F(1) else F(0)
+            x = y = z = F(1) if closures.is_camera_view(cosine) else F(0)
         elif op == DIFFUSE_CLOSURE:
             closures.add(surface, DIFFUSE, dx, dy, dz, ax, ay, az)
         elif op == EMISSION_CLOSURE:
@@ -189,13 +198,13 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
         elif op == TRANSPARENT_CLOSURE:
             closures.add(surface, TRANSPARENCY, dx, dy, dz, ax, ay, az)
         elif op == REFRACTION_CLOSURE:
-            closures.refraction(surface, ax, ay, az, dx, dy, dz)
+            closures.refraction(surface, ax, ay, az, bx, dx, dy, dz, cosine)
         elif op == GLOSSY_CLOSURE:
             closures.glossy(surface, ax, ay, az, bx, p, dx, dy, dz)
         elif op == METAL_CLOSURE:
             closures.metal(surface, ax, ay, az, bx, p, cx, cy, cz, dx, dy, dz)
         elif op == GLASS_CLOSURE:
-            closures.glass(surface, ax, ay, az, bx, by, cx, cy, cz, dx, dy, dz, cosine)
+            closures.glass(surface, ax, ay, az, bx, by, p, cx, cy, cz, dx, dy, dz, cosine)
         elif op == DIELECTRIC_CLOSURE:
             closures.dielectric_over_diffuse(surface, ax, ay, az, bx, by, bz, p, cx, cy, cz, dx, dy, dz)
         elif op == SHEEN_CLOSURE:

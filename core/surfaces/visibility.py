@@ -1,4 +1,9 @@
-"""Light through cut-outs: what share of it passes the transparent surfaces between two points, and where a ray ends."""
+"""Light through cut-outs: what share of it passes the transparent surfaces between two points, and where a ray ends.
+
+Glass is the surface of a solid, as in Cycles: a ray that meets its back without having entered a front began within the solid, and may be
+reflected totally.  Sheets without thickness are such surfaces, and water, and what lies inside of panes is in them.  `entered` counts the
+fronts that a ray has passed since its path was last scattered, less the backs.
+"""
 
 from __future__ import annotations
 
@@ -12,33 +17,48 @@ from ..rays.trace import ALL, COHERENT, CUTOUT, OPAQUE, intersect1, occluded_pac
 from ..sampling.hashing import uniform
 from ..scene import REFRACTIVE, TRANSPARENT
 from .layout import REFRACTION, TRANSPARENCY, passing_chance
-from .normals import shading_normal
-from .program import MEAN_VIEW, evaluate, reflected_view
+from .normals import sees_back, shading_normal
+from .program import MEAN_VIEW, evaluate, from_within, reflected_view
 
 _BENDING = 0.2  # of the sum of normals across a ray: a tenth of a radian in glass
 MAX_PASSED = 128  # transparent surfaces on one segment; what lies behind more counts as dark
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
+OUTSIDE = np.int64(0)  # solids that a path has entered which was scattered just now
 
 
 @inlined
-def _evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface):
-    """`evaluate_along`, which also returns the shading normal (unit; 0 where it is no glass)."""
+def _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface):
+    """`evaluate_along`, which also returns the shading normal (unit; 0 where it is no glass) and whether the back of glass is seen."""
     material = scene.material[triangle]
     cosine = np.float32(MEAN_VIEW)
     nx = ny = nz = _0
+    behind = False
     if scene.materials.flags[material] & REFRACTIVE:
         nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, _0, _0, _0)
         length = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz))
-        cosine = reflected_view(max(-_1, min(_1, -(nx * dx + ny * dy + nz * dz) / length)))
+        cosine = min(_1, abs(nx * dx + ny * dy + nz * dz) / length)
+        behind = sees_back(scene.vertices, scene.triangles, triangle, dx, dy, dz)
+        cosine = reflected_view(-cosine if behind else cosine)
+        if behind and entered == 0:
+            cosine = from_within(cosine)
     evaluate(scene.materials, material, scene.attributes, triangle, u, v, cosine, rows, surface)
-    return nx, ny, nz
+    return nx, ny, nz, behind
 
 
 @leaf
-def evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface):
-    """The surface that a ray meets, into `surface`: what glass lets through depends on the angle, all else is the mean over the views."""
-    _evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface)
+def evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface):
+    """The surface that a ray meets, into `surface`: what glass lets through depends on the angle, all else is the mean over the views.
+
+    entered: how many solids of glass the ray has entered.
+    """
+    _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
+
+
+@inlined
+def passed_glass(entered, behind):
+    """`entered` after one more surface of glass."""
+    return max(entered - 1, OUTSIDE) if behind else entered + 1
 
 
 @inlined
@@ -53,11 +73,12 @@ def _bends(x, y, z, dx, dy, dz):
 
 
 @leaf
-def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near, t_far, kinds):
+def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near, t_far, kinds, entered):
     """Transmittance (r, g, b) of the transparent triangles along one segment, and the share of it that passed no glass: -1 where a lens is in the way.
 
     For segments that the OPAQUE set does not block.  packet, rows, surface: scratch (`new_packet`,
-    `new_registers`, (SURFACE,) float32); the packet's lanes stay as they are.
+    `new_registers`, (SURFACE,) float32); the packet's lanes stay as they are.  The segment begins where the light arrives.
+    entered: solids of glass that the path has entered before.
     """
     r = g = b = clear = _1
     x = y = z = _0
@@ -69,7 +90,7 @@ def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near,
             # One side alone, as a pool's surface or a pane without thickness, is no lens.
             lens = glasses % 2 == 0 and _bends(x, y, z, dx, dy, dz)
             return r, g, b, -_1 if lens else clear
-        nx, ny, nz = _evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface)
+        nx, ny, nz, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
         r *= surface[TRANSPARENCY]
         g *= surface[TRANSPARENCY + 1]
         b *= surface[TRANSPARENCY + 2]
@@ -80,6 +101,7 @@ def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near,
         if refracted > _0:
             clear *= max(_0, _1 - refracted)
             glasses += 1
+            entered = passed_glass(entered, behind)
             x, y, z = x + nx, y + ny, z + nz
         start = t + np.float32(1e-5) * abs(t)
     return _0, _0, _0, _1
@@ -111,34 +133,37 @@ def shadow_packet(scene, packet, rows, surface, count, kinds, cutouts, transmitt
                 scene, packet, rows, surface,
                 f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
                 f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane],
-                f[T_NEAR * WIDTH + lane], end[lane], kinds,
+                f[T_NEAR * WIDTH + lane], end[lane], kinds, OUTSIDE,
             )  # fmt: skip
 
 
 @leaf
-def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach, kinds, seed, path, dimension):
+def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach, kinds, seed, path, dimension, entered):
     """The nearest surface along a ray that does not let it through, its material evaluated into `surface`.
 
-    Returns (triangle or -1, u, v, t, r, g, b, clear): (r, g, b) weighs what is seen, or what lies beyond all surfaces, for
-    what was passed; clear is the share of it that passed no glass.
+    entered: solids of glass that the path has entered before.
+    Returns (triangle or -1, u, v, t, r, g, b, clear, entered): (r, g, b) weighs what is seen, or what lies beyond all surfaces, for
+    what was passed; clear is the share of it that passed no glass; entered, where the surface is the back of glass: solids that the path is in, else 0.
     """
     r = g = b = clear = _1
     start = _0
     for layer in range(MAX_PASSED):
         triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, dx, dy, dz, start, reach, kinds)
         if triangle < 0:
-            return -1, _0, _0, reach, r, g, b, clear
-        evaluate_along(scene, triangle, u, v, dx, dy, dz, rows, surface)
+            return -1, _0, _0, reach, r, g, b, clear, entered
+        _, _, _, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
+        within = entered if behind else OUTSIDE
         if not scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
-            return triangle, u, v, t, r, g, b, clear
+            return triangle, u, v, t, r, g, b, clear, within
         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
         chance = passing_chance(surface)
         if uniform(seed, path, dimension, layer) >= chance:
             rest = _1 / (_1 - chance)
-            return triangle, u, v, t, r * rest, g * rest, b * rest, clear
+            return triangle, u, v, t, r * rest, g * rest, b * rest, clear, within
         refracted = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
         if refracted > _0:
             clear *= max(_0, _1 - refracted / (tr + tg + tb))
+            entered = passed_glass(entered, behind)
         r, g, b = r * tr / chance, g * tg / chance, b * tb / chance
         start = t + np.float32(1e-5) * abs(t)
-    return -1, _0, _0, reach, _0, _0, _0, clear
+    return -1, _0, _0, reach, _0, _0, _0, clear, entered

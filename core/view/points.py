@@ -30,6 +30,7 @@ class ShadingPoints(NamedTuple):
     spread: (N, SPREAD, 3) float32, where else the pixel shows the surface, as offsets from the position (m); 0 for nowhere.
     tilt: (N,) float32, `layout.TILT` where bumps shadow the light, whose mean is in `albedo`; else 0.
     shown: (N,) uint8, 1 where the surfaces that the lobe shows have points of their own, so that it has to find nothing but what shines.
+    entered: (N,) uint8, of the back of glass: solids of glass that the view is in by their fronts (see `surfaces.visibility`), and what the lobe shows too.
     """
 
     position: np.ndarray
@@ -47,15 +48,16 @@ class ShadingPoints(NamedTuple):
     spread: np.ndarray
     tilt: np.ndarray
     shown: np.ndarray
+    entered: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> ShadingPoints:
-        """Room for n points, not set but for `behind_glass`, `spread`, `tilt` and `shown`, which are 0."""
+        """Room for n points, not set but for `behind_glass`, `spread`, `tilt`, `shown` and `entered`, which are 0."""
         f, e = np.float32, np.empty
         return ShadingPoints(
             e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32),
             e((n, 3), f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f), np.zeros(n, np.uint8), np.zeros((n, SPREAD, 3), f), np.zeros(n, f),
-            np.zeros(n, np.uint8),
+            np.zeros(n, np.uint8), np.zeros(n, np.uint8),
         )  # fmt: skip
 
     def take(self, index) -> ShadingPoints:

@@ -192,6 +192,7 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
         points.behind_glass[i] = tile.glass[lane, best] > 0
         points.tilt[i] = np.float32(0.0) if transmitted else sample[best, TILTED]
         points.shown[i] = tile.shown[lane, best] > 0
+        points.entered[i] = min(tile.entered[lane, best], 255)
     return n_points
 
 

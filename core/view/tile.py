@@ -21,7 +21,7 @@ from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, set_ray
 from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import uniform
-from ..scene import CAMERA, GLOSSY, MIRRORING, NORMAL_MAPPED, TRANSLUCENT, TRANSMISSION, TRANSPARENT
+from ..scene import CAMERA, GLOSSY, MIRRORING, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import (
@@ -40,7 +40,8 @@ from ..surfaces.layout import (
 )
 from ..surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal
-from ..surfaces.program import evaluate, reflected_view
+from ..surfaces.program import evaluate, from_within, reflected_view
+from ..surfaces.visibility import passed_glass
 from .camera import camera_ray, pixel_sample
 from .lamps import lamps_between
 
@@ -82,6 +83,7 @@ class Tile(NamedTuple):
     taken, count: (16,) int32, samples traced, and one more than the last row.
     hits: (16, R, 3) float32, bits of the triangle (-1 for none), u and v.  weight, direction: (16, R, 3) float32.
     depth: (16, R) float32 (m), by way of mirrors.  glass: (16, R) int32, surfaces of glass and mirrors before it.
+    entered: (16, R) int32, solids of glass that the view has entered before and not left (see `surfaces.visibility`).
     kinds: (16, R) int32, of the ray that met it.  shining: (16, R) uint8, whether what shines there counts, which other rays may find.
     shown: (16, R) uint8, `SURFACES` where these, and `ALL_LIGHT` where also what shines in its lobe has a row of its own.
     lamps: (16, GLASS, G, 3) float32, light of the lamps in view, summed over the samples, by the surfaces of glass before it.
@@ -101,6 +103,7 @@ class Tile(NamedTuple):
     direction: np.ndarray
     depth: np.ndarray
     glass: np.ndarray
+    entered: np.ndarray
     kinds: np.ndarray
     shining: np.ndarray
     shown: np.ndarray
@@ -128,7 +131,8 @@ def new_tile(samples, light_groups, lamps):
     f, i, rows = np.float32, np.int32, (1 + PANES) * samples
     return Tile(
         np.zeros(WIDTH, i), np.zeros(WIDTH, i), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f),
-        np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows), np.uint8), np.empty((WIDTH, rows), np.uint8),
+        np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows), i),
+        np.empty((WIDTH, rows), np.uint8), np.empty((WIDTH, rows), np.uint8),
         np.empty((WIDTH, GLASS, light_groups, 3), f),
         np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, 11), f),
         np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, 14), f),
@@ -163,16 +167,25 @@ def _same_surface(px, py, pz, nx, ny, nz, qx, qy, qz, mx, my, mz, width):
 
 
 @inlined
-def _view_cosine(vertices, triangles, corner_normals, triangle, u, v, dx, dy, dz, glass):
-    """Cosine for `program.evaluate` of a view along d that has passed `glass` surfaces of glass."""
+def _signed(flags, cosine, behind, glass, entered):
+    """What `program.evaluate` takes for a view at `cosine` (0..1) of the back of a triangle or not, that has passed `glass` surfaces of glass."""
+    signed = -cosine if behind else cosine
+    if glass > 0:
+        signed = reflected_view(signed)
+    return from_within(signed) if behind and entered == 0 and flags & REFRACTIVE else signed
+
+
+@inlined
+def _view_cosine(vertices, triangles, corner_normals, flags, triangle, u, v, dx, dy, dz, glass, entered):
+    """`_signed` of a view along d, and whether it sees the back."""
     a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
     ex, ey, ez = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
     fx, fy, fz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
     gx, gy, gz = normalized(ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx)
     sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
     cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
-    cosine = -cosine if gx * dx + gy * dy + gz * dz > 0 else cosine
-    return reflected_view(cosine) if glass > 0 else cosine
+    behind = gx * dx + gy * dy + gz * dz > 0
+    return _signed(flags, cosine, behind, glass, entered), behind
 
 
 @leaf
@@ -200,14 +213,14 @@ def _way_on(surface, x, split):
 
 
 @leaf
-def _reflected(materials, geometry, material, triangle, u, v, dx, dy, dz, glass, u1, u2, rows, surface, lobe):
+def _reflected(materials, geometry, material, triangle, u, v, dx, dy, dz, glass, entered, u1, u2, rows, surface, lobe):
     """How a sample along d goes on from a surface that may mirror: (whether it does, origin, direction, r, g, b), with weight 0 for nowhere."""
     x, y, z, gx, gy, gz, error = hit_point(geometry.vertices, geometry.triangles, triangle, u, v)
     sx, sy, sz = shading_normal(geometry.corner_normals, triangle, u, v, gx, gy, gz)
     behind = gx * dx + gy * dy + gz * dz > 0
     cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
-    signed = -cosine if behind else cosine
-    evaluate(materials, material, geometry.attributes, triangle, u, v, reflected_view(signed) if glass > 0 else signed, rows, surface)
+    signed = _signed(materials.flags[material], cosine, behind, glass, entered)
+    evaluate(materials, material, geometry.attributes, triangle, u, v, signed, rows, surface)
     if surface[ROUGHNESS] > POLISHED:
         return False, x, y, z, dx, dy, dz, _0, _0, _0
     sx, sy, sz = mapped_normal(materials, material, surface, sx, sy, sz)
@@ -280,7 +293,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
     """Trace a packet of `n` samples, each the pixel and number of its row of `lanes`; the number of rays."""
     vertices, triangle_vertices, corner_normals = geometry.vertices, geometry.triangles, geometry.corner_normals
     attributes, material = geometry.attributes, geometry.material
-    weight, direction, depth, glass, kinds = tile.weight, tile.direction, tile.depth, tile.glass, tile.kinds
+    weight, direction, depth, glass, entered, kinds = tile.weight, tile.direction, tile.depth, tile.glass, tile.entered, tile.kinds
     origin, passed = tile.origin, tile.passed
     triangles = tile.hits.view(np.int32)
     count = n
@@ -298,7 +311,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
         direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2] = dx, dy, dz
         weight[pixel, s, 0] = weight[pixel, s, 1] = weight[pixel, s, 2] = _1
         depth[pixel, s] = WORLD_DEPTH
-        glass[pixel, s] = 0
+        glass[pixel, s] = entered[pixel, s] = 0
         kinds[pixel, s] = CAMERA
         tile.shown[pixel, s] = 0
         tile.shining[pixel, s] = 1
@@ -334,15 +347,21 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
             number = (ty + pixel // TILE) * camera.size[0] + tx + pixel % TILE
             way, r, g, b, w = SHOWN, _0, _0, _0, _1
             ox, oy, oz = origin[lane, 0], origin[lane, 1], origin[lane, 2]
-            if materials.flags[material[triangle]] & TRANSPARENT:
-                cosine = _view_cosine(vertices, triangle_vertices, corner_normals, triangle, u, v, dx, dy, dz, glass[pixel, s])
+            flags = materials.flags[material[triangle]]
+            behind, mirroring = False, flags & MIRRORING
+            if flags & TRANSPARENT:
+                cosine, behind = _view_cosine(
+                    vertices, triangle_vertices, corner_normals, flags, triangle, u, v, dx, dy, dz, glass[pixel, s], entered[pixel, s]
+                )
                 evaluate(materials, material[triangle], attributes, triangle, u, v, cosine, rows, surface)
                 way, r, g, b, w = _way_on(surface, uniform(seed, number, s, 2 + layer), glass[pixel, s] < PANES)
-            elif materials.flags[material[triangle]] & MIRRORING and glass[pixel, s] < PANES:
+                mirroring = way == SHOWN and behind and flags & REFRACTIVE  # what is reflected totally
+            if mirroring and glass[pixel, s] < PANES:
                 mirrors, ox, oy, oz, dx, dy, dz, r, g, b = _reflected(
-                    materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, glass[pixel, s],
+                    materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, glass[pixel, s], entered[pixel, s],
                     uniform(seed, number, s, 100 + layer), uniform(seed, number, s, 200 + layer), rows, surface, tile.lobe,
                 )  # fmt: skip
+                r, g, b = w * r, w * g, w * b
                 if mirrors:
                     tile.shown[pixel, s] = ALL_LIGHT if surface[ROUGHNESS] <= PERFECT else SURFACES
                     if max(r, g, b) > _0:
@@ -352,7 +371,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                 if way != SHOWN:  # the sample goes on beyond a pane, which gets a row of its own
                     row = tile.count[pixel]
                     tile.count[pixel] += 1
-                    glass[pixel, row], kinds[pixel, row] = glass[pixel, s], kinds[pixel, s]
+                    glass[pixel, row], kinds[pixel, row], entered[pixel, row] = glass[pixel, s], kinds[pixel, s], entered[pixel, s]
                     tile.shown[pixel, row], tile.shining[pixel, row] = tile.shown[pixel, s], tile.shining[pixel, s]
                     tile.shown[pixel, s] = 0
                     for c in range(3):
@@ -380,6 +399,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
             else:
                 if way & REFRACTED:
                     glass[pixel, s] += 1
+                    entered[pixel, s] = passed_glass(entered[pixel, s], behind)
                     kinds[pixel, s] = TRANSMISSION
                 # Past the hit by a few rounding errors of t, so that the surface is not met again.
                 start = t + np.float32(4e-6) * (t + camera.clip[0])
@@ -429,14 +449,15 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
             behind = gx * dx + gy * dy + gz * dz > 0
             cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
-            signed = -cosine if behind else cosine
-            view_cosine = reflected_view(signed) if behind_glass else signed
+            view_cosine = _signed(materials.flags[material[triangle]], cosine, behind, glass[pixel, s], tile.entered[pixel, s])
             evaluate(materials, material[triangle], attributes, triangle, u, v, view_cosine, rows, surface)
             if materials.flags[material[triangle]] & NORMAL_MAPPED:
                 sx, sy, sz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
                 cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
             if behind:
                 gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+            if not (behind and materials.flags[material[triangle]] & REFRACTIVE):
+                tile.entered[pixel, s] = 0
             ar, ag, ab = diffuse_albedo(surface, cosine)
             ar, ag, ab = ar * wr, ag * wg, ab * wb
             tr = tg = tb = _0

@@ -50,7 +50,7 @@ def ceiling_vpls(m, seed=1):
     rng = np.random.default_rng(seed)
     vpls = Vpls.allocate(m)
     vpls.position[:] = np.column_stack([rng.uniform(-1.9, 1.9, (m, 2)), np.full(m, 2.0)])
-    vpls.normal[:] = (0, 0, -1)
+    vpls.normal[:] = vpls.surface_normal[:] = (0, 0, -1)
     vpls.flux[:] = rng.uniform(0.2, 2, (m, 3))
     vpls.error[:] = 1e-6
     vpls.emitter[:], vpls.bounce[:] = 0, 1

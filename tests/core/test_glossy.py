@@ -78,7 +78,7 @@ def points_at(n, roughness, cosine=0.7, f0=0.5, f90=1.0, albedo=0.0, position=(0
     return ShadingPoints(
         tile(position), np.full(n, 1e-6, F), up, up.copy(), np.zeros(n, np.int32), np.zeros(n, np.int32), tile((albedo,) * 3),
         tile(view_at(cosine)), tile((f0,) * 3), tile((f90,) * 3), np.full(n, roughness, F),
-        np.zeros(n, np.uint8), np.zeros((n, 3, 3), F), np.zeros(n, F), np.zeros(n, np.uint8),
+        np.zeros(n, np.uint8), np.zeros((n, 3, 3), F), np.zeros(n, F), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
     )  # fmt: skip
 
 

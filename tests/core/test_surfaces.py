@@ -242,3 +242,48 @@ def test_reflected_views_have_the_albedo_of_the_cameras_view():
     emits = tables_of([(ops.VIEWED, 0, 0), (ops.EMISSION_CLOSURE, 1, 0, R, R, R + 1, 0)], [(0,) * 4, (1,) * 4])
     views = np.array([0.5, -0.5, ops.reflected_view(F(0.5)), ops.reflected_view(F(-0.5)), ops.MEAN_VIEW], F)
     np.testing.assert_array_equal(evaluate(emits, 5, cosine=views)[:, layout.EMISSION], [1, 1, 0, 0, 0])
+
+
+def glass(roughness=0.0, ior=1.5, thin=0, op=ops.GLASS_CLOSURE):
+    """Tables of white glass."""
+    if op == ops.REFRACTION_CLOSURE:
+        return tables_of([(op, 0, R + 1, R + 2, R, R + 1, 0)], [(0,) * 4, (1,) * 4, (ior,) * 4])
+    return tables_of([(op, 0, R + 1, R + 2, R + 1, R + 1, thin)], [(0,) * 4, (1,) * 4, (roughness, ior, 0, 1)])
+
+
+def fresnel_within(cosine, ior):
+    """Reflectance of light that comes at `cosine` from within a dielectric (Fresnel's equations)."""
+    sine = ior * np.sqrt(1 - cosine * cosine)
+    beyond = np.sqrt(np.maximum(0, 1 - sine * sine))
+    across, along = (ior * cosine - beyond) / (ior * cosine + beyond), (cosine - ior * beyond) / (cosine + ior * beyond)
+    return np.where(sine >= 1, 1.0, 0.5 * (across * across + along * along))
+
+
+@pytest.mark.parametrize("ior", [1.33, 1.5, 2.2])
+def test_glass_reflects_from_within_as_fresnel_says(ior):
+    cosine = np.array([0.01, 0.3, 0.6, 0.75, 0.8, 0.95, 1.0], F)
+    expected = fresnel_within(cosine.astype(float), ior)
+    for views in (-cosine, np.array([ops.reflected_view(c) for c in -cosine], F)):
+        within = np.array([ops.from_within(c) for c in views], F)
+        surfaces = evaluate(glass(ior=ior), len(cosine), cosine=within)
+        np.testing.assert_allclose(surfaces[:, layout.TRANSPARENCY], 1 - expected, atol=2e-5)
+        for at in (layout.GLOSSY_F0, layout.GLOSSY_F90):
+            np.testing.assert_allclose(surfaces[:, at], expected, atol=2e-5)
+        rough = evaluate(glass(roughness=0.5, ior=ior), len(cosine), cosine=within)
+        np.testing.assert_allclose(rough[:, layout.TRANSPARENCY] + rough[:, layout.GLOSSY_F0], 1, atol=1e-6)
+        refracted = evaluate(glass(ior=ior, op=ops.REFRACTION_CLOSURE), len(cosine), cosine=within)
+        np.testing.assert_array_equal(refracted[:, layout.REFRACTION], expected < 1)
+
+
+def test_glass_that_was_entered_and_thin_walls_reflect_alike_from_both_sides():
+    cosine = np.array([0.1, 0.5, 0.9], F)
+    front = evaluate(glass(), 3, cosine=cosine)
+    np.testing.assert_array_equal(evaluate(glass(), 3, cosine=-cosine), front)
+    within = np.array([ops.from_within(c) for c in -cosine], F)
+    np.testing.assert_allclose(evaluate(glass(thin=1), 3, cosine=within), front, rtol=1e-5, atol=2e-6)
+
+
+def test_views_from_within_know_whose_they_are():
+    emits = tables_of([(ops.VIEWED, 0, 0), (ops.EMISSION_CLOSURE, 1, 0, R, R, R + 1, 0)], [(0,) * 4, (1,) * 4])
+    views = np.array([ops.from_within(F(-0.5)), ops.from_within(F(-1)), ops.from_within(ops.reflected_view(F(-0.5)))], F)
+    np.testing.assert_array_equal(evaluate(emits, 3, cosine=views)[:, layout.EMISSION], [1, 1, 0])

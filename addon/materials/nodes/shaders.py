@@ -56,6 +56,7 @@ def principled(node: NodeInput, weight: Value) -> None:
         node.emit(ops.EMISSION_CLOSURE, emission, ZERO, ZERO, weight)
     tint = node["Specular Tint"]
     metallic = node.clamp(node["Metallic"])
+    thin = node.has("Thin Wall") and _is(node["Thin Wall"], 1)
     if not _is(metallic, 0):
         node.emit(ops.METAL_CLOSURE, base, roughness, tint, node.multiply(weight, metallic), p=multiple)
         weight = node.multiply(weight, node.complement(metallic))
@@ -63,11 +64,11 @@ def principled(node: NodeInput, weight: Value) -> None:
     if not _is(transmission, 0):
         through = node.math_rgb("SQRT", node.clamp(base))
         share = node.multiply(weight, transmission)
-        node.emit(ops.GLASS_CLOSURE, through, node.pack(roughness, ior), tint, share)
+        node.emit(ops.GLASS_CLOSURE, through, node.pack(roughness, ior), tint, share, p=int(thin))
         weight = node.multiply(weight, node.complement(transmission))
         _warn_straight(node, "transmission")
     subsurface = node.clamp(node["Subsurface Weight"])
-    if node.has("Thin Wall") and _is(node["Thin Wall"], 1):
+    if thin:
         # Blender 5.2: what would scatter below the surface leaves either side of it.
         through = node.multiply(subsurface, node.math_rgb("MULTIPLY_ADD", node["Subsurface Anisotropy"], scalar(0.5), scalar(0.5)))
         if not _is(through, 0) and weight != ZERO:
@@ -157,7 +158,7 @@ def glass(node: NodeInput, weight: Value) -> None:
 def refraction(node: NodeInput, weight: Value) -> None:
     """Refraction BSDF: straight through with its colour."""
     _warn_straight(node, "refraction")
-    node.emit(ops.REFRACTION_CLOSURE, node["Color"], ZERO, ZERO, weight)
+    node.emit(ops.REFRACTION_CLOSURE, node["Color"], node["IOR"], ZERO, weight)
 
 
 @closure("ShaderNodeBsdfTransparent")

@@ -1,0 +1,124 @@
+"""Glass as the surface of a solid, against Cycles: light that begins within it meets its back first, and may be reflected totally.
+
+Such are sheets of one plane, seen from their back, and what lies inside of closed glass.
+"""
+
+import hashlib
+import math
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from lumigate.addon.extract import extract_scene
+from lumigate.core.pipeline import render
+from lumigate.core.settings import RenderSettings
+from lumigate.headless.cache import cached_halves
+
+from .test_direct_light import look, material, quad
+from .test_glass import shader, slab
+
+SEEDS = 4
+
+
+def sky(scene, strength=1.0):
+    world = scene.world = bpy.data.worlds.new("World")
+    if world.node_tree is None:  # Blender 4.5
+        world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs["Color"].default_value = (strength, strength, strength, 1)
+
+
+def roof(scene, facing, surface, mirrored=False):
+    """A plane over the booth whose normal points up (1) or down (-1)."""
+    corners = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
+    quad(scene, corners if facing > 0 else corners[::-1], surface, seen=False)
+    made = scene.collection.objects[-1]
+    made.location = (0, 0, 1)
+    if mirrored:
+        made.scale = (1, -1, 1)
+
+
+GLASS = {"Transmission_Weight": 1.0, "Roughness": 0.0, "IOR": 1.5, "Base_Color": (1, 1, 1, 1)}
+ROOFS = {
+    "up": lambda scene: roof(scene, 1, material("Glass", **GLASS)),
+    "down": lambda scene: roof(scene, -1, material("Glass", **GLASS)),
+    "mirrored": lambda scene: roof(scene, 1, material("Glass", **GLASS), True),
+    "rough": lambda scene: roof(scene, 1, material("Glass", **GLASS | {"Roughness": 0.4})),
+    "node": lambda scene: roof(scene, 1, shader("Glass", "ShaderNodeBsdfGlass", Color=(1, 1, 1, 1), Roughness=0.0, IOR=1.33)),
+    "refraction": lambda scene: roof(scene, 1, shader("Glass", "ShaderNodeBsdfRefraction", Color=(1, 1, 1, 1), Roughness=0.0, IOR=1.5)),
+    "halves": lambda scene: (roof(scene, 1, material("Glass", **GLASS)), roof(scene, -1, material("Glass", **GLASS))),
+    "pane": lambda scene: slab(scene, -1.01, 1.01, -1.01, 1.01, 1.0, 1.02, material("Glass", **GLASS)),
+    "inside": lambda scene: slab(scene, -0.99, 0.99, -0.99, 0.99, -0.5, 0.999, material("Glass", **GLASS)),
+}
+
+
+def booth(over):
+    """A dark floor in a black box that is open to the sky but for a roof."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    # Close below the top of the solid that it lies in: what its far sides reflect is not modelled.
+    z = 0.97 if over == "inside" else 0.0
+    floor = material("Floor", Base_Color=(0.2, 0.2, 0.2, 1), Specular_IOR_Level=0.0)
+    quad(scene, [(-0.8, -0.8, z), (0.8, -0.8, z), (0.8, 0.8, z), (-0.8, 0.8, z)], floor)
+    black = material("Black", Base_Color=(0, 0, 0, 1), Specular_IOR_Level=0.0)
+    for x in (-1, 1):
+        quad(scene, [(x, -1, -1), (x, 1, -1), (x, 1, 1), (x, -1, 1)], black)
+        quad(scene, [(-1, x, -1), (1, x, -1), (1, x, 1), (-1, x, 1)], black)
+    quad(scene, [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)], black)
+    ROOFS[over](scene)
+    scene.collection.objects[-1].visible_camera = False
+    if over == "halves":
+        scene.collection.objects[-1].location = (0, 0, 0.99)
+    sky(scene)
+    look(scene, (0, 0, 20), (0, 0, 0), type="ORTHO", ortho_scale=1.6)
+    return scene
+
+
+@pytest.mark.parametrize("method", ["importance-sampling", "instant-radiosity"])
+@pytest.mark.parametrize("over", ROOFS)
+def test_light_through_a_sheet_is_as_cycles(over, method):
+    scene = booth(over)
+    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "over": over}
+    halves = cached_halves(scene, identity, size=(16, 16), spp=1024, bounces=4, seed=1)
+    arrays = extract_scene(scene, size=(16, 16))
+    ours = [render(arrays, RenderSettings(seed=seed, denoise=False, method=method, direct_samples=32)).layers for seed in range(SEEDS)]
+    expected, mine = ([layers["DiffuseIndirect"].mean(dtype=float) for layers in some] for some in (halves, ours))
+    noise = abs(expected[0] - expected[1]) / 2 + np.std(mine, ddof=1) / math.sqrt(SEEDS)
+    assert abs(np.mean(mine) - np.mean(expected)) <= 0.05 * np.mean(expected) + 3 * noise
+
+
+def screens(facing, **inputs):
+    """A screen of one plane, seen at 60 degrees, between a green sign behind it and a red one that it mirrors; the sky is blue."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    corners = [(-1, 0, -0.3), (1, 0, -0.3), (1, 0, 0.3), (-1, 0, 0.3)]
+    quad(scene, corners if facing == "front" else corners[::-1], material("Glass", **GLASS | inputs))
+    for y, color in ((-1, (1, 0.1, 0.1, 1)), (1, (0.1, 1, 0.1, 1))):
+        quad(scene, [(0, y, -3), (9, y, -3), (9, y, 3), (0, y, 3)], shader("Sign", "ShaderNodeEmission", Color=color))
+    for sign in list(scene.collection.objects)[-2:]:
+        sign.visible_diffuse = False
+    angle = math.radians(60)
+    look(scene, (-3 * math.sin(angle), -3 * math.cos(angle), 0), (math.pi / 2, 0, -angle), type="ORTHO", ortho_scale=0.4)
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("facing", "inputs"),
+    [
+        ("front", {}),
+        ("back", {}),
+        ("back", {"Alpha": 0.5}),
+        pytest.param("back", {"Thin_Wall": True}, marks=pytest.mark.skipif(bpy.app.version < (5, 2), reason="Blender 5.2 has thin walls")),
+    ],
+    ids=["front", "back", "half", "thin"],
+)
+def test_the_back_of_a_sheet_is_a_mirror_beyond_the_critical_angle(facing, inputs):
+    scene = screens(facing, **inputs)
+    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "facing": facing, "inputs": inputs}
+    halves = cached_halves(scene, identity, size=(16, 8), spp=64, bounces=4, seed=1)
+    layers = render(extract_scene(scene, size=(16, 8)), RenderSettings(denoise=False, pixel_samples=32)).layers
+    expected = np.mean([half["Combined"].mean((0, 1), dtype=float) for half in halves], axis=0)
+    got = layers["Combined"].mean((0, 1), dtype=float)
+    # Both sides of a thin wall reflect, here one of them.
+    np.testing.assert_allclose(got, expected, atol=0.08 if "Thin_Wall" in inputs else 0.03)
