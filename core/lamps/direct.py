@@ -633,20 +633,10 @@ def direct_light(
         none = np.zeros((0, 3), np.float32)
         tilt = getattr(points, "tilt", np.zeros(len(points.position), np.float32))
         spread = getattr(points, "spread", np.zeros((len(points.position), 0, 3), np.float32))
+        entered = np.zeros(len(points.position), np.uint8)
         receivers = Receivers(
-            points.position,
-            points.ns,
-            points.ng,
-            points.error,
-            none,
-            none,
-            none,
-            np.zeros(0, np.float32),
-            none,
-            spread,
-            tilt,
-            np.zeros(len(points.position), np.uint8),
-        )
+            points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none, spread, tilt, entered,
+        )  # fmt: skip
     receivers = Reference(receivers)
     n, columns = len(points.position), 3 * scene.emitters.light_groups
     sharp = sharp_emitters(scene.emitters, samples) if apart else None
