@@ -29,7 +29,7 @@ QUICKER = {"high": "balanced", "balanced": "fast"}  # of OIDN's qualities, for l
 LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
 # What passes average; position and depth are the first one's.
 _MEANS = (*LIGHT, "albedo", "normal", "guide_albedo", "guide_normal", "foreseen")
-_MEANS_IF_THERE = ("alpha", "smooth", "glossy_albedo", "mirrored_albedo", "own_normal", "sharp", "shining", "shining_farther")
+_MEANS_IF_THERE = ("alpha", "smooth", "glossy_albedo", "mirrored_albedo", "own_normal", "sharp")
 
 
 class GroupLight(NamedTuple):
@@ -68,8 +68,6 @@ class Picture:
     glossy_albedo: (H, W, 3) float32, what glossy lobes reflect, which tells the denoiser where there are any; None for nothing known.
     own_normal: (H, W, 3) float32, `guide_normal` without what lies behind glass and in mirrors; None for the same.
     mirrored_albedo: (H, W, 3) float32, albedo of what rays from narrow lobes have met, with their noise; None for nothing.
-    shining, shining_farther: (H, W, 3) float32, emission that shows behind glass and in mirrors, parts of `direct` and `glossy_indirect` that have
-        no noise; None for nothing.
     sharp: (H, W, 3) float32, what diffuse surfaces send of the light of lamps with sharp shadows, part of `direct`; None where it is not told apart.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
     points: diffuse indirect light of the passes' shading points, which knows more than that of pixels; empty where it is not kept.
@@ -93,8 +91,6 @@ class Picture:
     glossy_albedo: np.ndarray | None = None
     own_normal: np.ndarray | None = None
     mirrored_albedo: np.ndarray | None = None
-    shining: np.ndarray | None = None
-    shining_farther: np.ndarray | None = None
     sharp: np.ndarray | None = None
     groups: dict[str, GroupLight] = field(default_factory=dict)
     points: tuple[PointLight, ...] = ()
@@ -137,8 +133,6 @@ class Picture:
             weight=weight,
             glossy_albedo=splat(seen.points, glossy_albedos(seen.points), seen.shape),
             mirrored_albedo=splat(seen.points, mirrored_albedo, seen.shape) if mirrored_albedo.any() else None,
-            shining=_unless_none(seen.emission_behind_one),
-            shining_farther=_unless_none(seen.emission_behind_more),
             sharp=sharp,
             groups={} if groups is None else groups.told_apart(parts, GroupLight(*(np.zeros_like(seen.albedo) for _ in LIGHT))),
         )
@@ -198,23 +192,19 @@ class Picture:
             found["diffuse_indirect"] = clean
         if indirect and self.glossy_indirect.any():
             guide, clean = self._mirrored_guide(denoiser, threads, quality)
-            shining = np.float32(0) if self.shining_farther is None else self.shining_farther
-            found["glossy_indirect"] = shining + cleaned(
-                self.glossy_indirect - shining, self._glossy_guide(guide), clean_aux=clean, normal=self.guide_normal
-            )
+            found["glossy_indirect"] = cleaned(self.glossy_indirect, self._glossy_guide(guide), clean_aux=clean, normal=self.guide_normal)
         if direct and self.direct.any():
             found["direct"] = self._direct_cleaned(cleaned, QUICKER.get(quality, quality))
         return replace(self, **found)
 
     def _direct_cleaned(self, cleaned: Callable[..., np.ndarray], quality: str | None) -> np.ndarray:
         """The direct light without noise; sharp shadows are denoised apart, for they go with the noise of other lamps."""
-        shining = np.float32(0) if self.shining is None else self.shining
         if self.sharp is None:
-            return shining + cleaned(self.direct - shining, self.albedo, quality)
-        soft = self.direct - shining - self.sharp
+            return cleaned(self.direct, self.albedo, quality)
+        soft = self.direct - self.sharp
         if not largest(soft).max() <= LEAST_SOFT * self.sharp.mean():  # nor where that is no number
             soft = cleaned(soft, self.albedo, quality)
-        return shining + soft + cleaned(self.sharp, self.albedo, quality)
+        return soft + cleaned(self.sharp, self.albedo, quality)
 
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
         """The albedo with what narrow lobes show, of which few rays have told, and whether it is free of noise."""
@@ -319,11 +309,6 @@ class Picture:
             offset=(camera.border[0], camera.border[1]),
             full_size=(camera.width, camera.height),
         )
-
-
-def _unless_none(light: np.ndarray) -> np.ndarray | None:
-    """`light` where there is any, else None."""
-    return light if light.any() else None
 
 
 def _around(marked: np.ndarray) -> tuple[slice, slice]:

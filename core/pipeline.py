@@ -339,7 +339,7 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
         glossy = wants_glossy and has_lobes(points) and sees_alike(scene.geometry.object_visibility)
         indirect, vpls = indirect_stage(run, tables, points, seen.shape[1], settings, threads, sampler, glossy=glossy)
         run.vpls += len(vpls.bounce)
-        if sampler and settings.method == "importance-sampling" and settings.denoise:
+        if sampler and sampler.lights is not None and settings.denoise:
             with run.stage("indirect"):
                 foreseen = sampler.foreseen(points, seen.shape)
         if settings.debug_layers and not run.debug:

@@ -447,6 +447,7 @@ class ImportanceSampling:
         self.threads = threads
         self.rays = 0
         self.pairs = 0
+        self.lights: np.ndarray | None = None  # until `prepare`
         self.shared: SharedRays | None = None
 
     def cache_light(

@@ -21,7 +21,7 @@ from ..lamps.groups import LightGroups
 from ..rays.packet import WIDTH, new_packet
 from ..references import Reference
 from ..sampling.hashing import uniform
-from ..scene import CAMERA, TRANSLUCENT, Scene
+from ..scene import CAMERA, GLOSSY, TRANSLUCENT, Scene
 from ..surfaces.layout import SURFACE
 from ..surfaces.program import new_registers, with_viewer
 from ..threads import Progress, run_chunks
@@ -59,6 +59,7 @@ from .tile import (
     trace_samples,
 )  # fmt: skip
 
+MOST_MIRRORED = 4  # surfaces that a pixel shows by way of mirrors: a curved one may show another in every sample, of which these are drawn
 EVEN = 4  # samples a pixel: fewer tell too little of what varies, and every pixel has the same
 
 
@@ -136,6 +137,20 @@ def _add(camera, materials, geometry, world, world_visibility, world_group, pixe
 
 
 @leaf
+def _mirrored_light(tile, lane, begin, end):
+    """What the surfaces that a pixel shows by way of mirrors send, by the columns begin..end-1 of their sums; 0 where they are few."""
+    number, light = 0, np.float32(0.0)
+    for k in range(tile.groups[lane]):
+        if tile.kinds[lane, tile.first[lane, k]] == GLOSSY:
+            sent = np.float32(0.0)
+            for c in range(begin, end):
+                sent += tile.group[lane, k, c]
+            number += sent > 0
+            light += sent
+    return light if number > MOST_MIRRORED else np.float32(0.0)
+
+
+@leaf
 def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n_points):
     """Makes shading points of the surfaces that a pixel of the tile shows; how many there are then.
 
@@ -145,17 +160,27 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
     sample, group = tile.sample[lane], tile.group[lane]
     triangles = tile.hits.view(np.int32)
     share = np.float32(1.0) / np.float32(tile.taken[lane])
-    side, lobe = np.float32(1.0), share
+    side, lobe = np.float32(1.0), np.float32(1.0)
     albedo, upto = G_ALBEDO, G_ROUGHNESS
     if transmitted:
         side, lobe = np.float32(-1.0), np.float32(0.0)
         albedo, upto = G_TRANSLUCENCY, G_TRANSLUCENCY + 3
+    step = _mirrored_light(tile, lane, albedo, upto) / np.float32(MOST_MIRRORED)
+    start, seen = uniform(seed, number, 0, 2), np.float32(0.0)
     for k in range(tile.groups[lane]):
         sent = np.float32(0.0)
         for c in range(albedo, upto):
             sent += group[k, c]
         if not sent > 0:  # black: no light would show
             continue
+        weight = share
+        if step > 0 and tile.kinds[lane, tile.first[lane, k]] == GLOSSY:
+            # Picked as often as one of the steps from `start` on falls into its part of the light.
+            picks = math.ceil((seen + sent) / step - start) - math.ceil(seen / step - start)
+            seen += sent
+            if picks <= 0:
+                continue
+            weight = share * np.float32(picks) * step / sent
         # A member drawn at random stands for all: right in the mean, however steeply the light varies in the pixel.
         members = np.int64(group[k, MEMBERS])
         drawn = np.int64(uniform(seed, number, k, 1) * group[k, MEMBERS])
@@ -177,9 +202,9 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
             points.ng[i, c] = side * sample[best, FACING + c]
             points.ns[i, c] = side * sample[best, SHADED + c]
             points.wo[i, c] = -tile.direction[lane, best, c]
-            points.albedo[i, c] = share * group[k, albedo + c]
-            points.f0[i, c] = lobe * group[k, G_F0 + c]
-            points.f90[i, c] = lobe * group[k, G_F90 + c]
+            points.albedo[i, c] = weight * group[k, albedo + c]
+            points.f0[i, c] = lobe * weight * group[k, G_F0 + c]
+            points.f90[i, c] = lobe * weight * group[k, G_F90 + c]
         points.error[i] = sample[best, ERROR]
         for j in range(SPREAD):
             other = member[(chosen + (j + 1) * members // (SPREAD + 1)) % members]

@@ -92,3 +92,13 @@ def test_no_light_and_no_albedo_are_skipped_not_computed(build, method):
         assert not result.layers["Indirect"].any()
         assert any(s["stage"] == "vpls" for s in result.stats["skipped"])
         assert result.stats["rays"]["light"] < 5000
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_scene_of_nothing_but_metal(build, method):
+    # Light that only glossy lobes pass on: without a diffuse albedo in view there is no light to draw VPLs for.
+    g = 0.5
+    scene = build.scene(build.geometry(*build.icosphere(3)), build.glossy_materials((0.0, 1.0), albedo=g, roughness=0.4))
+    layers = render(scene, RenderSettings(method=method, vpls=256, pixel_samples=1, reflections=8)).layers
+    assert not layers["DiffuseIndirect"].any()
+    assert np.isfinite(layers["GlossyIndirect"]).all() and layers["GlossyIndirect"].mean() <= g * g / (1 - g) * 1.02

@@ -1,10 +1,14 @@
 """What mirrors show: shading points of their own, as what lies behind glass has."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from lumigate.core import scene as sc
+from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS
 from lumigate.core.view.mirrors import with_mirrors
+from lumigate.core.view.primary import MOST_MIRRORED
 from lumigate.headless.stress.arrays import camera, geometry, glossy_materials, quads, scene
 
 from .test_view import seen, shown, spheres, wall
@@ -16,7 +20,7 @@ def before_a_mirror(roughness=0.0, albedo=0.0, mirror=(0.0, 0.0), **rest):
     """A camera that looks at a mirror 2 m before it, in which it sees a shining wall 3 m behind it."""
     stuff = glossy_materials((0.5, 0.25), (albedo, 0.0), albedo=SHINE, roughness=roughness)
     stuff.tables.flags[0] &= ~sc.GLOSSY_LOBE
-    stuff.tables.constant[0] = np.where(np.arange(stuff.tables.constant.shape[1]) < 16, stuff.tables.constant[0], 0)
+    stuff.tables.constant[0, GLOSSY_F0 : GLOSSY_F0 + 3] = stuff.tables.constant[0, GLOSSY_F90 : GLOSSY_F90 + 3] = 0
     g = geometry(*quads(wall(3), wall(-2)), np.repeat([0, 1], 2))
     g.object[2:] = 1
     g.object_names, g.object_visibility = ["wall", "mirror"], np.full(2, sc.ALL_RAYS, np.uint8)
@@ -60,6 +64,29 @@ def test_what_shines_in_a_less_than_perfect_mirror_is_left_to_its_lobe():
     assert not picture.emission_behind_one.any()
 
 
+def test_of_many_surfaces_in_a_mirror_a_few_are_drawn_by_their_light():
+    # Strips of three colours, each as bright as its albedo and an object of its own: about twelve of them lie in a pixel.
+    n, edges = 800, np.linspace(-30, 30, 801)
+    strips = [[(a, -50, 3), (b, -50, 3), (b, 50, 3), (a, 50, 3)] for a, b in pairwise(edges)]
+    colours = np.float32([(0.1, 0.1, 0.1), (0.9, 0.2, 0.1), (0.1, 0.3, 0.8)])
+    stuff = glossy_materials(*((c, c) for c in colours), (0.0, 0.0), albedo=SHINE, roughness=0.0)
+    stuff.tables.flags[:3] &= ~sc.GLOSSY_LOBE
+    stuff.tables.constant[:3, GLOSSY_F0 : GLOSSY_F0 + 3] = stuff.tables.constant[:3, GLOSSY_F90 : GLOSSY_F90 + 3] = 0
+    g = geometry(*quads(*strips, wall(-2)), np.repeat([*np.arange(n) % 3, 3], 2))
+    g.object[:] = np.repeat(np.arange(n + 1), 2)
+    g.object_names, g.object_visibility = [f"strip {i}" for i in range(n)] + ["mirror"], np.full(n + 1, sc.ALL_RAYS, np.uint8)
+    found, whole = np.zeros(3), np.zeros(3)
+    for seed in range(8):
+        picture = seen(scene(g, stuff, camera=camera()), 32, seed)
+        counts = np.bincount(picture.points.pixel)
+        assert counts.max() == MOST_MIRRORED and counts.mean() > MOST_MIRRORED - 1
+        points = np.stack([shown(picture, picture.points.albedo, c) for c in range(3)], axis=1)
+        every = picture.emission_behind_one.reshape(-1, 3)
+        np.testing.assert_allclose(points.sum(axis=1), every.sum(axis=1), rtol=1e-4)  # of each pixel all that they send together
+        found, whole = found + points.mean(axis=0), whole + every.mean(axis=0)
+    np.testing.assert_allclose(found, whole, rtol=0.02)  # and each colour in the mean
+
+
 @pytest.mark.parametrize(("roughness", "albedo"), [(0.3, 0.0), (0.0, 3.0)], ids=["rough", "faint"])
 def test_other_lobes_are_not_looked_into(roughness, albedo):
     picture = seen(before_a_mirror(roughness=roughness, albedo=albedo))
@@ -101,7 +128,7 @@ def test_only_polished_materials_are_asked():
     s = before_a_mirror(roughness=0.3)
     tables = s.materials.tables
     assert not (with_mirrors(tables, s.geometry).flags & sc.MIRRORING).any()
-    tables.constant[1, 22] = 0.05
+    tables.constant[1, ROUGHNESS] = 0.05
     assert (with_mirrors(tables, s.geometry).flags & sc.MIRRORING > 0).tolist() == [False, True]
     tables.flags[1] |= sc.TRANSPARENT  # glass has its own way
     assert not (with_mirrors(tables, s.geometry).flags & sc.MIRRORING).any()
