@@ -331,9 +331,6 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
     sampler = cache_stage(run, tables, points, settings, threads) if wants_glossy or wants_indirect else None
     light = DirectLight(nothing, nothing, nothing, nothing)
     mirrored = Reflections(nothing, nothing, 0, nothing[:, :3])
-    if wants("Direct", "Combined") or behind_glass or ((wants_indirect or wants_glossy) and refractive(tables)):
-        with run.stage("direct") as tick:
-            light = direct_stage(run, scene, tables, points, settings, threads, tick)
     indirect, foreseen = nothing, None
     if wants_indirect:
         glossy = wants_glossy and has_lobes(points) and sees_alike(scene.geometry.object_visibility)
@@ -346,6 +343,9 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
             run.debug = single_lights(tables, vpls, points, seen.shape, threads)
             if run.clusters is not None:
                 run.debug |= run.clusters.debug_layers(points, seen.shape)
+    if wants("Direct", "Combined") or behind_glass or ((wants_indirect or wants_glossy) and refractive(tables)):
+        with run.stage("direct") as tick:
+            light = direct_stage(run, scene, tables, points, settings, threads, tick, sampler)
     if wants_glossy:
         mirrored = glossy_stage(run, tables, points, settings, threads, sampler)
     LOADED.add(settings.method)

@@ -15,6 +15,7 @@ from .errors import SceneError
 from .inspection import foresee, savings
 from .jit import CompileTimer
 from .lamps import DirectLight, Emitters, LightGroups, build_emitters, direct_light
+from .lamps.escapes import shadows_alike
 from .methods.area_shadows import area_lamps, direct_by_soft_maps
 from .methods.fuzzy_clustering import FuzzyClustering
 from .methods.glossy import Reflections, has_lobes, reflect
@@ -181,13 +182,13 @@ def light_points(
     first = by_glass = tables.emitters.no_light(len(points.pixel))
     if run.topology is not None:
         tables = within_reach(run, tables, points)
-    if direct or refractive(tables):
-        with run.stage("direct") as tick:
-            light = direct_stage(run, scene, tables, points, settings, threads, tick)
-        first, by_glass = light.irradiance if direct else first, light.irradiance_by_glass
     sampler = cache_stage(run, tables, points, settings, threads, texels=len(np.unique(points.pixel)))
     indirect, vpls = indirect_stage(run, tables, points, None, settings, threads, sampler)
     run.vpls += len(vpls.bounce)
+    if direct or refractive(tables):
+        with run.stage("direct") as tick:
+            light = direct_stage(run, scene, tables, points, settings, threads, tick, sampler)
+        first, by_glass = light.irradiance if direct else first, light.irradiance_by_glass
     return first, indirect + by_glass
 
 
@@ -197,15 +198,21 @@ def refractive(tables: Transport) -> bool:
 
 
 def direct_stage(
-    run: Run, scene: Scene, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, tick
-) -> DirectLight:
-    """Direct light at the points: irradiance, and what their lobes reflect of it by shadow rays."""
+    run: Run, scene: Scene, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, tick,
+    sampler: ImportanceSampling | None = None,
+) -> DirectLight:  # fmt: skip
+    """Direct light at the points: irradiance, and what their lobes reflect of it by shadow rays.
+
+    sampler: whose gather rays have gone out from these points, and count for what they have found of the world.
+    """
     samples, seed = settings.direct_samples, settings.seed
+    gathered = sampler.gathered if sampler and shadows_alike(scene.geometry.object_visibility) else None
 
     def by_rays(tables: Transport, lobes: bool) -> DirectLight:
         light, rays = direct_light(
-            tables, points, samples, seed, threads, tick, reflections=settings.reflections, lobes=lobes, apart=settings.denoise
-        )
+            tables, points, samples, seed, threads, tick, reflections=settings.reflections, lobes=lobes, apart=settings.denoise,
+            gathered=gathered,
+        )  # fmt: skip
         run.rays["shadow"] += rays
         if settings.bounces == 0:  # glass is a bounce
             nothing = np.zeros_like(light.irradiance_by_glass)

@@ -4,7 +4,8 @@ Emitters near the scene are few and are then sampled one by one ("groups"), or m
 is one group.  A point's samples are dealt to the groups by what each could send there unshadowed, at least one to
 each that can send anything; where there are fewer samples than groups, the groups are drawn at random.
 
-Half of the rays to the world are aimed at where the other half of the neighbours' rays have found it (`world_guide`).  They leave from
+Half of the rays to the world are aimed at where the other half of the neighbours' rays have found it (`world_guide`); where gather rays of
+indirect light have been traced before, these tell as well, and count themselves for what they find of it.  Shadow rays leave from
 all places where a pixel shows the surface, so that edges of shadows within it are smooth.
 
 The same rays carry the light that glossy lobes reflect, which they share with rays drawn from the lobes (see
@@ -32,13 +33,14 @@ from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count, set_lobe
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import OUTSIDE, transmittance1
 from ..threads import Progress, run_chunks
+from .escapes import ESCAPED, STOPPED, GatherRays, gather_ray, no_gather_rays
 from .lookup import can_be_met, emitter_density, share_of
 from .sample import sample_emitter
 from .sharp import sharp_emitters
 from .tables import AXIS_Z, CASTS_SHADOW, ONE_MINUS_COS, SEEN_BY_GLOSSY, TRIANGLE, WORLD
 from .tree import CUT, choose, cut_estimate, cut_for, descend, importance
 from .world import world_density, world_radiance
-from .world_guide import LOW, NEAR, aim, draw, forget, look_around, new_world_guide, remember
+from .world_guide import NEAR, aim, draw, expect, forget, look_around, new_world_guide, own_density, remember
 
 CHUNK = 4096  # points a chunk
 _BLOCK, _BLOCK_RAYS = 1024, 8192  # points whose rays are traced together, lamp by lamp, and the most of these rays, nearly
@@ -47,6 +49,8 @@ _DEFENSIVE = np.float32(0.1)  # share of the samples dealt evenly to the groups 
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _THIRD = np.float32(1 / 3)
+_INV_PI = np.float32(1 / math.pi)
+_UNGUIDED = 4  # one of so many rays to the world is not aimed where gather rays tell of it, too
 # A lamp is no surface that a ray could hit, but one often lies in a surface: stop short of it, by some tens of the rounding
 # errors of the distance and no more, for what is as close as that behind a wall shines through it.
 _SHORT = np.float32(1.0 - 1e-5)
@@ -56,6 +60,7 @@ class Receivers(NamedTuple):
     """N points to be lit, as `view.points.ShadingPoints`.
 
     The arrays from wo to albedo are empty where no point has a lobe; spread is (N, 0, 3) where each has one place.
+    gathered, met, gather_key: count, met, and (seed, first) of `GatherRays`.
     """
 
     position: np.ndarray
@@ -70,6 +75,9 @@ class Receivers(NamedTuple):
     spread: np.ndarray
     tilt: np.ndarray
     entered: np.ndarray
+    gathered: np.ndarray
+    met: np.ndarray
+    gather_key: np.ndarray
 
 
 @inlined
@@ -283,7 +291,7 @@ class _Rays(NamedTuple):
 
     ray: (R, 7) float32, origin, direction, end of the range; the end is below 0 where nothing may stand in the way.
     light, glossy: (R, 3) float32, what they bring if nothing does.
-    point, column: (R,) int32, of the block and of the output.  turn: (R,) int32, number among the first samples of the world, -1 for others.
+    point, column: (R,) int32, of the block and of the output.  turn: (R,) int32, number among the first samples of the world, gather rays after the others; -1 for the rest.
     through: (R, 3) float32, the part that gets through.  clear: (R,) float32, the part of that which passed no glass.
     """
 
@@ -341,7 +349,12 @@ def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, bloc
         if _is_world(emitters, g):
             n = block.count[k, g]
             by_chance = abs(np.float32(n) * block.weight[k, g] - _1) > np.float32(1e-3)  # where samples are scarce
-            block.first[k] = n if by_chance else (n + 1) // 2
+            if by_chance or n < 1:
+                block.first[k] = n
+            elif points.gathered[i] > 0:
+                block.first[k] = max(1, n // _UNGUIDED)
+            else:
+                block.first[k] = (n + 1) // 2
 
 
 @inlined
@@ -365,8 +378,8 @@ def _place(points, i, index, scramble):
 
 
 @inlined
-def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b, w, turn, rays, n):
-    """Ray n from p to the light (r, g, b) of emitter e in the direction d, weighed by w -> n + 1, or n where none of it can arrive."""
+def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b, w, shine, turn, rays, n):
+    """Ray n from p to the light (r, g, b) of emitter e in the direction d, weighed by w, for lobes by `shine` -> n + 1, or n where none of it can arrive."""
     emitters = scene.emitters
     sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
     gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
@@ -374,13 +387,13 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
     if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
         return n
     light, glossy, ray = rays.light[n], rays.glossy[n], rays.ray[n]
-    r, g, b = w * r, w * g, w * b
     if points.tilt[i] > _0:  # in place of the mean, which is in the albedo
         cosine *= shadowing(points.tilt[i], gx * dx + gy * dy + gz * dz) / mean_shadowing(points.tilt[i])
-    light[0], light[1], light[2] = cosine * r, cosine * g, cosine * b
-    if block.lobe[k, ALPHA] > _0:
+    w *= cosine
+    light[0], light[1], light[2] = w * r, w * g, w * b
+    if block.lobe[k, ALPHA] > _0 and shine > _0:
         fr, fg, fb = _lobe_share(emitters, e, block.lobe[k], block.drawn[k], block.expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
-        glossy[0], glossy[1], glossy[2] = fr * r, fg * g, fb * b
+        glossy[0], glossy[1], glossy[2] = shine * fr * r, shine * fg * g, shine * fb * b
     else:
         glossy[0] = glossy[1] = glossy[2] = _0
     ray[3], ray[4], ray[5], ray[6] = dx, dy, dz, -_1
@@ -426,7 +439,34 @@ def _aim(scene, points, start, size, block, seed, first, rows, surface, rays):
                     w *= rarity
                 u1, u2 = sobol(index, 0, scramble), sobol(index, 1, scramble)
                 dx, dy, dz, t, r, gr, b, u, v = sample_emitter(emitters, e, px, py, pz, sx, sy, sz, u1, u2, rows, surface)
-                n = _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, gr, b, w, sample if world else -1, rays, n)
+                n = _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, gr, b, w, w, sample if world else -1, rays, n)
+        if world:
+            n = _add_gathered(scene, points, start, size, block, g, rays, n)
+    return n
+
+
+@leaf
+def _add_gathered(scene, points, start, size, block, g, rays, n):
+    """The gather rays of these points that the world may shine along, by group g, as its first samples -> how many rays there are then."""
+    emitters = scene.emitters
+    e = emitters.groups[g]
+    seed, first = np.uint32(points.gather_key[0]), points.gather_key[1]
+    for k in range(size):
+        i = start + k
+        if not block.estimate[k, g] > _0:
+            continue
+        for s in range(points.gathered[i]):
+            if points.met[i, s] == STOPPED:
+                continue
+            dx, dy, dz, _ = gather_ray(seed, i, first + s, points.ns[i, 0], points.ns[i, 1], points.ns[i, 2])
+            r, gr, b = world_radiance(emitters.world, dx, dy, dz)
+            before = n
+            n = _put(
+                scene, points, block, i, k, e, points.position[i, 0], points.position[i, 1], points.position[i, 2], dx, dy, dz,
+                np.float32(np.inf), _0, _0, r, gr, b, _1, _0, block.first[k] + s, rays, n,
+            )  # fmt: skip
+            if n > before and points.met[i, s] == ESCAPED:
+                rays.ray[before, 6] = -_1
     return n
 
 
@@ -440,13 +480,14 @@ def _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, s
             continue
         e = emitters.groups[g]
         for k in range(size):
-            before = np.int64(block.first[k])
-            later = block.count[k, g] - before
-            if later < 1:
-                continue
             i = start + k
+            before, gathered = np.int64(block.first[k]), points.gathered[i]
+            if not block.weight[k, g] > _0:
+                continue
+            later = block.count[k, g] - before
             sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
-            guided = aim(guide, k, sx, sy, sz, before, later)
+            number = _1 / block.weight[k, g]
+            guided = aim(guide, k, sx, sy, sz, before, later, number, gathered)
             scramble = hash_combine(hash_combine(seed, i), g)
             for s in range(later):
                 # Unguided, they end the sequence that the first ones have begun; guided, they are one of their own.
@@ -459,11 +500,17 @@ def _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, s
                 if guided:
                     dx, dy, dz, density = draw(guide, u1, u2)
                     r, gr, b = world_radiance(emitters.world, dx, dy, dz)
-                    w = _1 / (np.float32(before) * world_density(emitters.world, sx, sy, sz, dx, dy, dz) + np.float32(later) * density)
+                    own = own_density(world_density(emitters.world, sx, sy, sz, dx, dy, dz), density, before, later, number, guided)
+                    even = np.float32(gathered) * _INV_PI * max(_0, sx * dx + sy * dy + sz * dz)
+                    w, shine = _1 / (own + even), _1 / own
                 else:
                     dx, dy, dz, _, r, gr, b, _, _ = sample_emitter(emitters, e, px, py, pz, sx, sy, sz, u1, u2, rows, surface)
-                    w = block.weight[k, g]
-                n = _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, np.float32(np.inf), _0, _0, r, gr, b, w, -1, rays, n)
+                    w = shine = block.weight[k, g]
+                    if gathered > 0:
+                        own = number * world_density(emitters.world, sx, sy, sz, dx, dy, dz)
+                        even = np.float32(gathered) * _INV_PI * max(_0, sx * dx + sy * dy + sz * dz)
+                        w *= own / (own + even)
+                n = _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, np.float32(np.inf), _0, _0, r, gr, b, w, shine, -1, rays, n)
     return n
 
 
@@ -499,23 +546,25 @@ def _trace(scene, packet, rows, surface, points, start, rays, n):
 
 
 @leaf
-def _learn(scene, points, start, size, rays, n, guide):
+def _learn(scene, points, start, size, block, rays, n, guide):
     """What the first n rays tell of the world."""
     emitters = scene.emitters
     forget(guide)
+    for g in range(len(emitters.groups)):
+        if _is_world(emitters, g):
+            for k in range(size):
+                expect(guide, k, block.estimate[k, g])
     for j in range(n):
-        if rays.turn[j] < 0:
+        turn = rays.turn[j]
+        if turn < 0 or not max(rays.through[j, 0], rays.through[j, 1], rays.through[j, 2]) > _0:
             continue
         i, k = start + rays.point[j], rays.point[j]
-        sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
         dx, dy, dz = rays.ray[j, 3], rays.ray[j, 4], rays.ray[j, 5]
-        sent = light = _0
-        for c in range(3):
-            sent += rays.light[j, c]
-            light += rays.light[j, c] * rays.through[j, c]
-        # The weights of the samples are nearly the same for neighbours.
-        cosine = max(sx * dx + sy * dy + sz * dz, LOW)
-        remember(guide, emitters.world, k, rays.turn[j], dx, dy, dz, sx, sy, sz, sent / cosine, light / cosine)
+        r, gr, b = world_radiance(emitters.world, dx, dy, dz)
+        light = r * rays.through[j, 0] + gr * rays.through[j, 1] + b * rays.through[j, 2]
+        cosine = points.ns[i, 0] * dx + points.ns[i, 1] * dy + points.ns[i, 2] * dz
+        density = world_density(emitters.world, points.ns[i, 0], points.ns[i, 1], points.ns[i, 2], dx, dy, dz)
+        remember(guide, k, turn, dx, dy, dz, light, density, cosine, block.first[k], points.gathered[i])
     look_around(guide, size)
 
 
@@ -525,16 +574,18 @@ def _collect(rays, n, start, guide, out, glossy):
     half = out.shape[1] // 2
     for j in range(n):
         i, c = start + rays.point[j], rays.column[j]
-        share = guide.share[rays.point[j], rays.turn[j]] if rays.turn[j] >= 0 else _1
-        clear, behind = share * rays.clear[j], share * (_1 - rays.clear[j])
+        share = shine_share = _1
+        if rays.turn[j] >= 0:
+            share, shine_share = guide.share[rays.point[j], rays.turn[j]], guide.shine[rays.point[j], rays.turn[j]]
+        clear = rays.clear[j]
         for channel in range(3):
-            light = rays.through[j, channel] * rays.light[j, channel]
+            light = share * rays.through[j, channel] * rays.light[j, channel]
             out[i, c + channel] += clear * light
-            out[i, c + channel + half] += behind * light
+            out[i, c + channel + half] += (_1 - clear) * light
             if len(glossy) > 0:
-                shine = rays.through[j, channel] * rays.glossy[j, channel]
+                shine = shine_share * rays.through[j, channel] * rays.glossy[j, channel]
                 glossy[i, c + channel] += clear * shine
-                glossy[i, c + channel + half] += behind * shine
+                glossy[i, c + channel + half] += (_1 - clear) * shine
 
 
 @kernel
@@ -545,10 +596,11 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
     rows = new_registers(scene.materials)
     surface = np.zeros(SURFACE, np.float32)
     spare = np.empty(groups, np.int32)
-    block_size = max(NEAR, min(_BLOCK, end - begin, _BLOCK_RAYS // samples // NEAR * NEAR))
-    rays, later = _new_rays(block_size * samples), _new_rays(block_size * (samples // 2))
+    gather = points.met.shape[1]
+    block_size = max(NEAR, min(_BLOCK, end - begin, _BLOCK_RAYS // (samples + gather // 2) // NEAR * NEAR))
+    rays, later = _new_rays(block_size * (samples + gather)), _new_rays(block_size * samples)
     block = _new_block(block_size, groups)
-    guide = new_world_guide(block_size, samples)
+    guide = new_world_guide(block_size, samples + gather)
     out[begin:end] = _0
     if len(glossy) > 0:
         glossy[begin:end] = _0
@@ -558,12 +610,12 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
         guided = False
         for k in range(size):
             _prepare(scene, points, start + k, k, samples, reflections, seed, first, spare, block)
-            guided = guided or block.first[k] > 0
+            guided = guided or block.first[k] > 0 or points.gathered[start + k] > 0
         n = _aim(scene, points, start, size, block, seed, first, rows, surface, rays)
         n_rays += _trace(scene, packet, rows, surface, points, start, rays, n)
         n_later = np.int64(0)
         if guided:
-            _learn(scene, points, start, size, rays, n, guide)
+            _learn(scene, points, start, size, block, rays, n, guide)
             n_later = _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, surface, later)
         _collect(rays, n, start, guide, out, glossy)  # not before the later ones are aimed, which tell what share the first have
         n_rays += _trace(scene, packet, rows, surface, points, start, later, n_later)
@@ -609,7 +661,7 @@ def direct_irradiance(scene, points, samples: int, seed: int, threads: int = 0, 
 
 def direct_light(
     scene, points, samples: int, seed: int, threads: int = 0, progress: Progress | None = None, *, first: int = 0, reflections: int = 0,
-    lobes: bool = True, apart: bool = False,
+    lobes: bool = True, apart: bool = False, gathered: GatherRays | None = None,
 ):  # fmt: skip
     """Direct light at shading points: irradiance, and what their glossy lobes reflect to the viewer.
 
@@ -623,19 +675,23 @@ def direct_light(
             (`methods.glossy.reflect`, called with the same numbers).
         lobes: whether the points' lobes matter at all; without, they need the arrays position, ns, ng and error only (and may have spread and tilt).
         apart: whether to tell apart what comes from lamps with sharp shadows (`sharp_emitters`), if there are any.
+        gathered: gather rays that the points have traced, which then count for what they find of the world; None for none.
 
     Returns:
         (DirectLight, number of rays traced).
     """
+    if gathered is None:
+        gathered = no_gather_rays(len(points.position))
+    others = gathered.count, gathered.met, np.array([gathered.seed, gathered.first], np.int64)
     if lobes:
-        receivers = Receivers(*(getattr(points, name) for name in Receivers._fields))
+        receivers = Receivers(*(getattr(points, name) for name in Receivers._fields[: -len(others)]), *others)
     else:
         none = np.zeros((0, 3), np.float32)
         tilt = getattr(points, "tilt", np.zeros(len(points.position), np.float32))
         spread = getattr(points, "spread", np.zeros((len(points.position), 0, 3), np.float32))
         entered = np.zeros(len(points.position), np.uint8)
         receivers = Receivers(
-            points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none, spread, tilt, entered,
+            points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none, spread, tilt, entered, *others,
         )  # fmt: skip
     receivers = Reference(receivers)
     n, columns = len(points.position), 3 * scene.emitters.light_groups

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from .world import world_density
 
 NEAR = 64  # points that follow each other and share what they see of the world
 _REACH = 4  # of these rows, how many to either side count as neighbours
@@ -29,17 +28,20 @@ _PER_AREA = np.float32(CELLS / (4 * math.pi))
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _HALF = np.float32(0.5)
+_INV_PI = np.float32(1 / math.pi)
+_SPHERICAL = np.float32(6.0)  # an even sky, all channels, without the cosine, over the mean irradiance by it
 
 
 class WorldGuide(NamedTuple):
     """What B points have found of the world by T samples each.
 
-    seen, around: (B / NEAR, CELLS + 1) float32, light that the points of a row have found in each cell, and all that they would have found
+    seen, around: (B / NEAR, CELLS + 1) float32, light that the points of a row have found in each cell, and about all that they would have found
         if nothing stood in the way; and the same of the row's neighbours.
-    sent: (B,) float32, what one point would have found.
+    sent: (B,) float32, about what one point would have found.
     cell: (B, T) int32, of a sample, -1 where nothing arrives.  light: (B, T) float32, what it has added to `seen`.
-    density: (B, T) float32, with which it was drawn (per sr).
-    share: (B, T) float32, what of it counts beside the later samples, where its weight is that of one of all.
+    density, cosine: (B, T) float32, with which it was or might have been drawn from the world (per sr), and its cosine.
+    share: (B, T) float32, what of it counts for diffuse light beside all other samples, where its weight is that of one of all; for gather rays the
+        weight itself.  shine: (B, T) float32, the same for lobes, to which gather rays do not count.
     cdf: (CELLS,) float32, of the point that was last aimed for.
     """
 
@@ -49,7 +51,9 @@ class WorldGuide(NamedTuple):
     cell: np.ndarray
     light: np.ndarray
     density: np.ndarray
+    cosine: np.ndarray
     share: np.ndarray
+    shine: np.ndarray
     cdf: np.ndarray
 
 
@@ -59,7 +63,8 @@ def new_world_guide(points, samples):
     f, rows = np.float32, (points + NEAR - 1) // NEAR
     return WorldGuide(
         np.empty((rows, CELLS + 1), f), np.empty((rows, CELLS + 1), f), np.empty(points, f),
-        np.empty((points, samples), np.int32), np.empty((points, samples), f), np.empty((points, samples), f), np.ones((points, samples), f), np.empty(CELLS, f),
+        np.empty((points, samples), np.int32), np.empty((points, samples), f), np.empty((points, samples), f), np.empty((points, samples), f),
+        np.ones((points, samples), f), np.ones((points, samples), f), np.empty(CELLS, f),
     )  # fmt: skip
 
 
@@ -95,20 +100,36 @@ def forget(guide):
     guide.seen[:] = _0
     guide.sent[:] = _0
     guide.cell[:] = -1
-    guide.share[:] = _1
+    guide.share[:] = _0
+    guide.shine[:] = _0
 
 
 @leaf
-def remember(guide, world, k, turn, dx, dy, dz, sx, sy, sz, sent, light):
-    """Sample `turn` of point k, normal s, finds `light` of the `sent` in the direction d (radiance over its density)."""
-    guide.sent[k] += sent
-    guide.seen[k // NEAR, CELLS] += sent
+def expect(guide, k, irradiance):
+    """The world gives point k about this (mean of the channels) where nothing stands in its way."""
+    guide.sent[k] = _SPHERICAL * irradiance
+    guide.seen[k // NEAR, CELLS] += guide.sent[k]
+
+
+@leaf
+def remember(guide, k, turn, dx, dy, dz, light, density, cosine, first, gathered):
+    """Sample `turn` of point k finds `light` (radiance, sum of the channels) in the direction d.
+
+    density: with which the world's own `first` samples find it; the `gathered` others follow the cosine.
+    """
     if not light > _0:
         return
     cell = cell_of(dx, dy, dz)
-    guide.cell[k, turn], guide.light[k, turn] = cell, light
-    guide.density[k, turn] = world_density(world, sx, sy, sz, dx, dy, dz)
+    # Cells are seen under many cosines.
+    light /= np.float32(first) * density + np.float32(gathered) * _INV_PI * max(cosine, LOW)
+    guide.cell[k, turn], guide.light[k, turn], guide.density[k, turn], guide.cosine[k, turn] = cell, light, density, cosine
     guide.seen[k // NEAR, cell] += light
+
+
+@inlined
+def own_density(density, aimed, first, later, number, guided):
+    """Density of all shadow rays of a point: `first` and `later` ones, or `number` on average, of which none is aimed."""
+    return np.float32(first) * density + np.float32(later) * aimed if guided else number * density
 
 
 @leaf
@@ -123,16 +144,17 @@ def look_around(guide, points):
 
 
 @leaf
-def aim(guide, k, sx, sy, sz, first, later):
+def aim(guide, k, sx, sy, sz, first, later, number, gathered):
     """Get ready to draw for point k, normal s; whether its neighbours have found any light, but not most of what there is.
 
-    first, later: how many samples it has and will get; `share` is set for the first.
+    first, later: how many shadow rays it has and will get, `number` of them on average.  gathered: gather rays, which lie after the first.
+    `share` and `shine` are set for what it has.
     """
     cdf = guide.cdf
     row = k // NEAR
     for cell in range(CELLS):
         cdf[cell] = guide.around[row, cell]
-    for s in range(first):
+    for s in range(first + gathered):
         if guide.cell[k, s] >= 0:
             cdf[guide.cell[k, s]] -= guide.light[k, s]
     total = found = _0
@@ -142,14 +164,18 @@ def aim(guide, k, sx, sy, sz, first, later):
         total += max(_0, cdf[cell]) * max(cosine, LOW)
         cdf[cell] = total
     sent = guide.around[row, CELLS] - guide.sent[k]
-    if not total > _0 or found < _NOTHING * sent or found > _OPEN * sent:
-        return False
-    for s in range(first):
-        if guide.cell[k, s] >= 0:
-            density = guide.density[k, s]
-            both = np.float32(first) * density + np.float32(later) * _density(cdf, guide.cell[k, s])
-            guide.share[k, s] = np.float32(first + later) * density / both
-    return True
+    guided = later > 0 and total > _0 and found >= _NOTHING * sent and found <= _OPEN * sent
+    for s in range(first + gathered):
+        if guide.cell[k, s] < 0:
+            continue
+        density = guide.density[k, s]
+        own = own_density(density, _density(cdf, guide.cell[k, s]) if guided else _0, first, later, number, guided)
+        both = own + np.float32(gathered) * _INV_PI * max(_0, guide.cosine[k, s])
+        if s < first:
+            guide.share[k, s], guide.shine[k, s] = number * density / both, number * density / own
+        else:
+            guide.share[k, s] = _1 / both
+    return guided
 
 
 @inlined

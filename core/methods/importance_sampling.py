@@ -20,6 +20,7 @@ import numpy as np
 from ..jit import inlined, kernel, leaf
 from ..lamps import focus_share, focused
 from ..lamps.direct import set_point_lobe
+from ..lamps.escapes import ESCAPED, VEILED, GatherRays, gather_ray
 from ..particles import Vpls, is_ahead, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
@@ -43,8 +44,6 @@ from ..rays.packet import (
 from ..rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
-from ..sampling.maps import cosine_hemisphere, to_world
-from ..sampling.sequences import r2
 from ..scene import DIFFUSE, TRANSPARENT
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
@@ -91,16 +90,16 @@ _INV_PI = np.float32(1.0 / np.pi)
 
 
 @kernel
-def _gather(scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, reflections, lights, out, shown):
+def _gather(scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, reflections, lights, out, shown, met):
     """Adds to the points begin..end-1 what their `counts` (N,) cosine-distributed rays find, less what lights carry; the rays traced.
 
     reflections: most rays that wide lobes have of their own, 0 where they take no part.  lights: whether virtual lights do.
-    out: (N, 3 G) W/m^2.  shown: (N, 3 G) W/m^2/sr, what wide lobes reflect.
+    out: (N, 3 G) W/m^2.  shown: (N, 3 G) W/m^2/sr, what wide lobes reflect.  met: (N, R) uint8, as `GatherRays` has it.
     """
     owner, turn = np.empty(WIDTH, np.int64), np.empty(WIDTH, np.int64)
     direction, hit = np.empty((WIDTH, 3), np.float32), np.empty((WIDTH, 3), np.float32)
     return _gather_leaf(
-        scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, reflections, lights, out, shown,
+        scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, reflections, lights, out, shown, met,
         new_packet(), new_packet(), np.zeros(SURFACE, np.float32), np.zeros(LOBE, np.float32), new_registers(scene.materials),
         owner, turn, direction, np.empty(WIDTH, np.int32), hit, np.zeros((WIDTH, LOBE), np.float32), np.zeros(WIDTH, np.int64),
         np.empty((WIDTH, 5), np.float32),
@@ -109,7 +108,7 @@ def _gather(scene, cache, points, counts, begin, end, first, g_max, near, bounce
 
 @leaf
 def _gather_leaf(
-    scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, reflections, lights, out, shown,
+    scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, reflections, lights, out, shown, met,
     packet, single, surface, lobe, rows, owner, turn, direction, found, hit, lobes, drawn, seen,
 ):  # fmt: skip
     """`_gather`, its scratch given: it counts no references."""
@@ -129,9 +128,7 @@ def _gather_leaf(
             for k in range(base, top):
                 if s >= counts[k]:
                     continue
-                u1, u2 = r2(first + s, hash_combine(seed, k))
-                lx, ly, lz = cosine_hemisphere(u1, u2)
-                dx, dy, dz = to_world(lx, ly, lz, points.ns[k, 0], points.ns[k, 1], points.ns[k, 2])
+                dx, dy, dz, lz = gather_ray(seed, k, first + s, points.ns[k, 0], points.ns[k, 1], points.ns[k, 2])
                 gx, gy, gz = points.ng[k, 0], points.ng[k, 1], points.ng[k, 2]
                 if dx * gx + dy * gy + dz * gz <= 0:
                     continue
@@ -148,13 +145,13 @@ def _gather_leaf(
                 rays += 1
                 if n == WIDTH:
                     _gathered(
-                        scene, cache, points, counts, n, g_max, near, bounces, seed, out, shown, packet, single, surface, lobe, rows,
+                        scene, cache, points, counts, n, first, g_max, near, bounces, seed, out, shown, met, packet, single, surface, lobe, rows,
                         owner, turn, direction, found, hit, seen,
                     )  # fmt: skip
                     n = np.int64(0)
     if n > 0:
         _gathered(
-            scene, cache, points, counts, n, g_max, near, bounces, seed, out, shown, packet, single, surface, lobe, rows,
+            scene, cache, points, counts, n, first, g_max, near, bounces, seed, out, shown, met, packet, single, surface, lobe, rows,
             owner, turn, direction, found, hit, seen,
         )  # fmt: skip
     return rays
@@ -174,7 +171,7 @@ def _weigh_lobe(lobe, drawn, gather, cosine, dx, dy, dz, lights, cell, seen):
 
 @leaf
 def _gathered(
-    scene, cache, points, counts, lanes, g_max, near, bounces, seed, out, shown, packet, single, surface, lobe, rows,
+    scene, cache, points, counts, lanes, first, g_max, near, bounces, seed, out, shown, met, packet, single, surface, lobe, rows,
     owner, turn, direction, found, hit, seen,
 ):  # fmt: skip
     """Traces the `lanes` gather rays of a packet and adds what they find to their owners.
@@ -186,10 +183,10 @@ def _gathered(
         found[lane] = hit_triangle(packet, lane) if packet.f[T_FAR * WIDTH + lane] >= 0 else -1
         hit[lane, 0], hit[lane, 1], hit[lane, 2] = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
     for lane in range(lanes):
-        triangle = found[lane]
+        triangle, k = found[lane], owner[lane]
         if triangle < 0:
+            met[k, turn[lane] - first] = ESCAPED
             continue
-        k = owner[lane]
         dx, dy, dz = direction[lane, 0], direction[lane, 1], direction[lane, 2]
         path = np.uint32(k * np.int64(977) + turn[lane])
         u, v, t = hit[lane, 0], hit[lane, 1], hit[lane, 2]
@@ -197,6 +194,7 @@ def _gathered(
         tr = tg = tb = _1
         entered = OUTSIDE
         if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
+            met[k, turn[lane] - first] = VEILED
             ox, oy, oz = offset_origin(
                 points.position[k, 0], points.position[k, 1], points.position[k, 2],
                 points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz,
@@ -449,6 +447,7 @@ class ImportanceSampling:
         self.pairs = 0
         self.lights: np.ndarray | None = None  # until `prepare`
         self.shared: SharedRays | None = None
+        self.gathered: GatherRays | None = None
 
     def cache_light(
         self,
@@ -578,12 +577,13 @@ class ImportanceSampling:
 
         gathered = np.zeros(n, np.float32)
         cache, receivers, vpls = (Reference(table) for table in (self.cache, points, self.vpls))
+        met = np.zeros((n, self.gather), np.uint8)
         sights, parts = np.zeros((n, self.samples), np.uint8), np.empty((n, self.samples), np.uint8)
 
         def work(begin, end):
             rays = _gather(
                 self.scene, cache, receivers, gather, begin, end, first, self.g_max, self.near, self.bounces,
-                np.uint32(self.seed + 3), reflections, lights, out, shown,
+                np.uint32(self.seed + 3), reflections, lights, out, shown, met,
             )  # fmt: skip
             gathered[begin:end] = np.einsum("nc->n", out[begin:end]) * np.float32(1 / 3)
             if lights:
@@ -595,6 +595,7 @@ class ImportanceSampling:
 
         self.rays += sum(run_chunks(work, n, CHUNK, self.threads, progress))
         self.found = sights, parts, gathered
+        self.gathered = GatherRays(gather, met, self.seed + 3, first)
         looks = np.minimum(np.maximum(1, samples // PICKS), len(self.lights))
         self.pairs += int(looks.sum()) * self.lights.shape[2]
         return out
