@@ -4,10 +4,15 @@ import math
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from lumigate.core import scene as sc
-from lumigate.core.lamps import direct_irradiance, world_guide
+from lumigate.core.jit import kernel
+from lumigate.core.lamps import direct_irradiance, direct_light, world_guide
+from lumigate.core.lamps.escapes import ESCAPED, STOPPED, VEILED, GatherRays, gather_ray
+from lumigate.core.pipeline import render
 from lumigate.core.sampling.sequences import sobol
+from lumigate.core.settings import RenderSettings
 
 from .test_lamps import RECEIVER, UP, lamp, lit
 
@@ -81,6 +86,80 @@ def test_few_neighbours_are_right_in_the_mean():
     assert_right_in_the_mean(
         np.concatenate([direct_irradiance(light.tables, points_around(3, seed=s), 4, s)[0] for s in range(6000)]), 0.02
     )
+
+
+@kernel
+def _directions(seed, first, out):
+    for k in range(out.shape[0]):
+        for s in range(out.shape[1]):
+            out[k, s, 0], out[k, s, 1], out[k, s, 2], _ = gather_ray(seed, k, first + s, np.float32(0), np.float32(0), np.float32(1))
+
+
+def through_window(points, rays, seed, x=0.6, veiled=False):
+    """Gather rays of points on the floor below the `window`; `veiled` ones have only met something that may let light through."""
+    n = len(points.position)
+    d = np.empty((n, rays, 3), np.float32)
+    _directions(np.uint32(seed), 7, d)
+    at = points.position[:, None, :2] + d[..., :2] * (HEIGHT / d[..., 2:])
+    open_ = (np.abs(at - (x, 0)) < HALF).all(axis=2) | (np.abs(at) > 40).any(axis=2)
+    met = np.where(veiled, VEILED, np.where(open_, ESCAPED, STOPPED)).astype(np.uint8) * np.ones((n, rays), np.uint8)
+    return GatherRays(np.full(n, rays, np.int32), met, seed, 7)
+
+
+def with_gathered(light, points, samples, seed, gathered):
+    return direct_light(light.tables, points, samples, seed, lobes=False, gathered=gathered)[0].irradiance
+
+
+def test_gather_rays_count_for_the_sky_and_tell_where_it_is():
+    light, points = window(), points_around(4096)
+    found = with_gathered(light, points, 4, 1, through_window(points, 8, 5))
+    assert_right_in_the_mean(found, 0.01)
+    alone, _ = direct_irradiance(light.tables, points, 4, 1)
+    assert found[:, 0].std() < 0.7 * alone[:, 0].std()
+
+
+def test_few_points_with_gather_rays_are_right_in_the_mean():
+    """Their own rays are a good part of what is known, and must have no say in their own densities."""
+    light = window()
+    parts = []
+    for s in range(6000):
+        points = points_around(3, seed=s)
+        parts.append(with_gathered(light, points, 2, s, through_window(points, 4, s)))
+    assert_right_in_the_mean(np.concatenate(parts), 0.02)
+
+
+def test_gather_rays_that_met_a_veil_are_traced_to_their_end():
+    light, points = window(), points_around(1024)
+    plain, veiled = (with_gathered(light, points, 4, 1, through_window(points, 8, 5, veiled=veiled)) for veiled in (False, True))
+    assert np.isclose(plain, veiled, rtol=1e-4).mean() > 0.99  # but for rays along an edge
+
+
+def test_gather_rays_beside_samples_by_chance():
+    """One sample goes to the sun or to the world; what gather rays find of the world is there in any case."""
+    light = lit(lamp(sc.SUN, 1.0, towards=(0, 0, -1), angle=0.0), world=1.0)
+    points = points_around(4096)
+    n = len(points.position)
+    gathered = GatherRays(np.full(n, 2, np.int32), np.full((n, 2), ESCAPED, np.uint8), 3, 0)
+    found = with_gathered(light, points, 1, 1, gathered)[:, 0].astype(float)
+    assert abs(found.mean() - (1 + math.pi)) < 4 * found.std() / math.sqrt(n)
+
+
+def test_an_open_world_has_no_noise_with_gather_rays():
+    light, points = lit(world=0.7), points_around(500)
+    gathered = GatherRays(np.full(500, 5, np.int32), np.full((500, 5), ESCAPED, np.uint8), 3, 0)
+    assert np.allclose(with_gathered(light, points, 8, 1, gathered), 0.7 * math.pi, rtol=1e-3)
+
+
+@pytest.mark.parametrize("kind", [sc.DIFFUSE, sc.SHADOW], ids=["no shadow", "shadow only"])
+def test_a_roof_that_gather_rays_and_shadow_rays_see_differently(build, kind):
+    floor = [(-9, -9, -1), (9, -9, -1), (9, 9, -1), (-9, 9, -1)]
+    roof = [(-900, -900, 1), (900, -900, 1), (900, 900, 1), (-900, 900, 1)]
+    g = build.geometry(*build.quads(floor, roof), np.repeat([0, 1], 2))
+    g.object[2:] = 1
+    g.object_names, g.object_visibility = ["floor", "roof"], np.array([sc.ALL_RAYS, kind], np.uint8)
+    scene = build.scene(g, build.materials((0.5, 0.0), (0.0, 0.0)), world=(1, 1, 1), camera=build.camera())
+    direct = render(scene, RenderSettings(pixel_samples=1, denoise=False)).layers["Direct"]
+    assert direct.mean() == pytest.approx(0.0 if kind == sc.SHADOW else 0.5, abs=0.01)
 
 
 def test_rays_leave_from_all_places_of_a_point():
