@@ -20,6 +20,7 @@ from .view.points import ShadingPoints
 MOST_NAMES = 3  # in a warning
 MOST_CELLS = 64  # that a triangle is listed in, on average
 MOST_IN_A_CELL = 1024  # triangles, on average: a plane with more, all across each other, is left as it is
+LOOKS = 24  # to a side of a triangle that no other one covers alone
 # Of its coordinate: a quarter of a last place, by which that of a triangle across an axis may differ here, and does not in Cycles.
 FLAT = 2.0**-25
 
@@ -76,9 +77,49 @@ def _within(corners, j, x, y, least):
     return u / area > least and v / area > least and w / area > least
 
 
+@leaf
+def _coverer(corners, k, x, y, least, low_x, low_y, scale_x, scale_y, side, first, listed):
+    """A triangle other than k that holds a place, -1 for none; cells are filled, and begin where their predecessor does in `first`."""
+    cell = _cell(y, low_y, scale_y, side) * side + _cell(x, low_x, scale_x, side)
+    for at in range(first[cell - 1] if cell > 0 else 0, first[cell]):
+        if listed[at] != k and _within(corners, listed[at], x, y, least):
+            return listed[at]
+    return np.int64(-1)
+
+
+@leaf
+def _is_covered(corners, k, low_x, low_y, scale_x, scale_y, side, first, listed):
+    """Whether other triangles cover triangle k wherever it is looked at."""
+    ax, ay, bx, by, cx, cy = corners[k, 0, 0], corners[k, 0, 1], corners[k, 1, 0], corners[k, 1, 1], corners[k, 2, 0], corners[k, 2, 1]
+    x, y = 0.5 * ax + 0.3 * bx + 0.2 * cx, 0.5 * ay + 0.3 * by + 0.2 * cy
+    by_one = _coverer(corners, k, x, y, 1e-4, low_x, low_y, scale_x, scale_y, side, first, listed)
+    if by_one < 0:
+        return False
+    near, far = 0.99, 0.005
+    for _ in range(3):  # all corners in one triangle: so is the rest
+        x, y = near * ax + far * (bx + cx), near * ay + far * (by + cy)
+        if not _within(corners, by_one, x, y, -1e-4):
+            by_one = np.int64(-1)
+            break
+        ax, ay, bx, by, cx, cy = bx, by, cx, cy, ax, ay
+    if by_one >= 0:
+        return True
+    # Some may cover it together, or leave a gap, as walls round a window do: the middles of many small triangles tell.
+    ax, ay, bx, by, cx, cy = corners[k, 0, 0], corners[k, 0, 1], corners[k, 1, 0], corners[k, 1, 1], corners[k, 2, 0], corners[k, 2, 1]
+    for i in range(LOOKS):
+        for j in range(LOOKS - i):
+            for upper in range(2 if i + j < LOOKS - 1 else 1):
+                u, v = (i + (1 + upper) / 3) / LOOKS, (j + (1 + upper) / 3) / LOOKS
+                x, y = u * ax + v * bx + (1 - u - v) * cx, u * ay + v * by + (1 - u - v) * cy
+                # They may lie on the edge between two.
+                if _coverer(corners, k, x, y, -1e-4, low_x, low_y, scale_x, scale_y, side, first, listed) < 0:
+                    return False
+    return True
+
+
 @kernel
 def _mark_covered(corners, start, covered):
-    """Marks the triangles (N,) all of whose samples lie in other triangles of their plane.
+    """Marks the triangles (N,) that other triangles of their plane cover.
 
     corners: (N, 3, 2) float64, plane by plane.  start: (P + 1,), the planes.
     """
@@ -120,32 +161,8 @@ def _mark_covered(corners, start, covered):
             if turn == 0:
                 for cell in range(side * side):
                     first[cell + 1] += first[cell]
-        # Filled cells begin where their predecessor does now.
         for k in range(begin, end):
-            hidden = True
-            for sample in range(4):
-                # One well inside, and one near each corner; these may lie on the edge between two that cover it together.
-                wa, wb, wc, least = 0.5, 0.3, 0.2, 1e-4
-                if sample > 0:
-                    wa, wb, wc, least = 0.1, 0.1, 0.1, -1e-4
-                    if sample == 1:
-                        wa = 0.8
-                    elif sample == 2:
-                        wb = 0.8
-                    else:
-                        wc = 0.8
-                x = wa * corners[k, 0, 0] + wb * corners[k, 1, 0] + wc * corners[k, 2, 0]
-                y = wa * corners[k, 0, 1] + wb * corners[k, 1, 1] + wc * corners[k, 2, 1]
-                cell = _cell(y, low_y, scale_y, side) * side + _cell(x, low_x, scale_x, side)
-                met = False
-                for at in range(first[cell - 1] if cell > 0 else 0, first[cell]):
-                    if listed[at] != k and _within(corners, listed[at], x, y, least):
-                        met = True
-                        break
-                if not met:
-                    hidden = False
-                    break
-            covered[k] = hidden
+            covered[k] = _is_covered(corners, k, low_x, low_y, scale_x, scale_y, side, first, listed)
 
 
 def coincident(scene: Scene) -> np.ndarray:

@@ -46,6 +46,17 @@ def test_only_what_is_covered_as_a_whole_counts():
     assert found(SQUARE, moved(0, 0, 1e-5)) == []
 
 
+def wide(x0, x1, y0, y1):
+    return np.array([(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)], float)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.2, 1.2])
+def test_a_gap_between_those_that_cover_a_face_is_seen(gap):
+    # The end of a wall behind the sill and the lintel of a window: lit where the window is, whatever lies at its corners.
+    wall, sill, lintel = wide(0, 0.6, 0, 3), wide(-0.1, 0.7, -0.1, 0.9), wide(-0.1, 0.7, 0.9 + gap, 3.1)
+    assert found(wall, sill, lintel) == ([] if gap else [0])
+
+
 def test_other_faces_are_left_alone():
     assert found(TILTED, TILTED) == []
     assert found(SQUARE, SQUARE, flags=sc.TRANSPARENT) == []
