@@ -206,7 +206,7 @@ def direct_stage(
     sampler: whose gather rays have gone out from these points, and count for what they have found of the world.
     """
     samples, seed = settings.direct_samples, settings.seed
-    gathered = sampler.gathered if sampler and shadows_alike(scene.geometry.object_visibility) else None
+    gathered = sampler.gathered if sampler and shadows_alike(scene.geometry, scene.materials.tables) else None
 
     def by_rays(tables: Transport, lobes: bool) -> DirectLight:
         light, rays = direct_light(

@@ -158,9 +158,10 @@ def _shape_spot(lamp: Lamp, light: bpy.types.SpotLight, scale: np.ndarray, found
     _shape_point(lamp, light, scale, found)
     lamp.angle, lamp.blend = light.spot_size, light.spot_blend
     if not np.allclose(scale[:2], scale[0], rtol=1e-3):
-        found.warnings.append(f"the scale of spot lamp '{lamp.name}' makes its cone elliptic: it is rendered round, with the mean width")
-    if lamp.angle < math.pi and scale[:2].mean() != scale[2]:
-        lamp.angle = 2 * math.atan(math.tan(0.5 * lamp.angle) * scale[:2].mean() / scale[2])
+        found.warnings.append(f"the scale of spot lamp '{lamp.name}' makes its cone elliptic: it is rendered round, as wide in the mean")
+    width = math.sqrt(scale[0] * scale[1])  # which keeps the solid angle, and so the light
+    if lamp.angle < math.pi and width != scale[2]:
+        lamp.angle = 2 * math.atan(math.tan(0.5 * lamp.angle) * width / scale[2])
 
 
 def _shape_sun(lamp: Lamp, light: bpy.types.SunLight, scale: np.ndarray, found: CollectedLamps) -> None:

@@ -5,7 +5,8 @@ is one group.  A point's samples are dealt to the groups by what each could send
 each that can send anything; where there are fewer samples than groups, the groups are drawn at random.
 
 Half of the rays to the world are aimed at where the other half of the neighbours' rays have found it (`world_guide`); where gather rays of
-indirect light have been traced before, these tell as well, and count themselves for what they find of it.  Shadow rays leave from
+indirect light have been traced before, these tell as well, and count themselves for what they find of it, and of
+surfaces that shine.  Shadow rays leave from
 all places where a pixel shows the surface, so that edges of shadows within it are smooth.
 
 The same rays carry the light that glossy lobes reflect, which they share with rays drawn from the lobes (see
@@ -26,19 +27,19 @@ from ..rays.trace import OPAQUE, occluded1, occluded_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine, to_unit, uniform
 from ..sampling.sequences import sobol
-from ..scene import SHADOW, SUN
+from ..scene import DIFFUSE, SHADOW, SUN
 from ..surfaces.bumps import mean_shadowing, shadowing
-from ..surfaces.layout import SURFACE
+from ..surfaces.layout import EMISSION, SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count, set_lobe
 from ..surfaces.program import new_registers
-from ..surfaces.visibility import OUTSIDE, transmittance1
+from ..surfaces.visibility import OUTSIDE, nearest_surface, transmittance1
 from ..threads import Progress, run_chunks
-from .escapes import ESCAPED, STOPPED, GatherRays, gather_ray, no_gather_rays
-from .lookup import can_be_met, emitter_density, share_of
+from .escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray, no_gather_rays
+from .lookup import can_be_met, emitter_density, emitter_of, share_of
 from .sample import sample_emitter
 from .sharp import sharp_emitters
 from .tables import AXIS_Z, CASTS_SHADOW, ONE_MINUS_COS, SEEN_BY_GLOSSY, TRIANGLE, WORLD
-from .tree import CUT, choose, cut_estimate, cut_for, descend, importance
+from .tree import CUT, choose, cut_estimate, cut_for, descend, importance, importance_around
 from .world import world_density, world_radiance
 from .world_guide import NEAR, aim, draw, expect, forget, look_around, new_world_guide, own_density, remember
 
@@ -81,8 +82,8 @@ class Receivers(NamedTuple):
 
 
 @inlined
-def group_estimate(emitters, group, px, py, pz, nx, ny, nz):
-    """Estimate of the unshadowed irradiance (mean of the channels) of a group at p; 0 only where it sends none."""
+def group_estimate(emitters, group, px, py, pz, around, nx, ny, nz):
+    """Estimate of the unshadowed irradiance (mean of the channels) of a group at p, and up to `around` (m) beside it; 0 only where it sends none."""
     e = emitters.groups[group]
     tree = emitters.tree
     if e < 0:
@@ -98,7 +99,7 @@ def group_estimate(emitters, group, px, py, pz, nx, ny, nz):
             mean *= np.float32(math.pi) * narrow * (np.float32(2.0) - narrow)  # sin^2 of the half angle
         rise = np.float32(math.sqrt(max(_0, narrow * (np.float32(2.0) - narrow))))
         return mean * max(_0, nx * lamps[e, AXIS_Z] + ny * lamps[e, AXIS_Z + 1] + nz * lamps[e, AXIS_Z + 2] + rise)
-    return importance(tree.nodes, tree.two_sided, e, px, py, pz, nx, ny, nz)
+    return importance_around(tree.nodes, tree.two_sided, e, px, py, pz, around, nx, ny, nz)
 
 
 @leaf
@@ -141,7 +142,7 @@ def expected_samples(emitters, px, py, pz, nx, ny, nz, samples, estimate, count,
     estimate (G,) float32, count (G,) int32: scratch.
     """
     for g in range(len(emitters.groups)):
-        estimate[g] = group_estimate(emitters, g, px, py, pz, nx, ny, nz)
+        estimate[g] = group_estimate(emitters, g, px, py, pz, _0, nx, ny, nz)
     deal(estimate, samples, np.float32(0.5), count, expected)
     for g in range(len(emitters.groups)):
         expected[g] = _1 / expected[g] if expected[g] > _0 else _0
@@ -164,7 +165,7 @@ def aimed_density(emitters, expected, e, px, py, pz, nx, ny, nz, dx, dy, dz):
         if emitters.groups[g] < 0:
             tree = emitters.tree
             own = importance(tree.nodes, tree.two_sided, e, px, py, pz, nx, ny, nz)
-            number = expected[g] * min(_1, own / max(group_estimate(emitters, g, px, py, pz, nx, ny, nz), np.float32(1e-30)))
+            number = expected[g] * min(_1, own / max(group_estimate(emitters, g, px, py, pz, _0, nx, ny, nz), np.float32(1e-30)))
     return number * emitter_density(emitters, e, px, py, pz, nx, ny, nz, dx, dy, dz) if number > _0 else _0
 
 
@@ -221,7 +222,7 @@ def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, s
     total = chosen_estimate = _0
     u = uniform(seed, path, dimension, 0)
     for group in range(len(emitters.groups)):  # reservoir sampling with one recycled random number
-        estimate = group_estimate(emitters, group, x, y, z, sx, sy, sz)
+        estimate = group_estimate(emitters, group, x, y, z, _0, sx, sy, sz)
         if estimate > _0:
             total += estimate
             p = estimate / total
@@ -272,6 +273,7 @@ class _Block(NamedTuple):
     first: (B,) int32, how many of the world's samples come first, where the others are aimed by what neighbours found.
     members, cdf: (B, CUT), size: (B,), the cut through the tree of emitters.
     lobe: (B, LOBE) float32.  drawn: (B,) int64, rays drawn from the lobe.  expected: (B, G) float32, samples beside those.
+    number: (B, G) float32, samples of each group on average.
     """
 
     estimate: np.ndarray
@@ -284,6 +286,7 @@ class _Block(NamedTuple):
     lobe: np.ndarray
     drawn: np.ndarray
     expected: np.ndarray
+    number: np.ndarray
 
 
 class _Rays(NamedTuple):
@@ -312,6 +315,7 @@ def _new_block(points, groups):
         np.zeros((points, groups), f), np.zeros((points, groups), f), np.zeros((points, groups), i), np.zeros(points, i),
         np.empty((points, CUT), i), np.empty((points, CUT), f), np.empty(points, np.int64),
         np.full((points, LOBE), -_1), np.zeros(points, np.int64), np.zeros((points, groups), f),
+        np.zeros((points, groups), f),
     )  # fmt: skip
 
 
@@ -331,14 +335,21 @@ def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, bloc
     tree = emitters.tree
     px, py, pz = points.position[i, 0], points.position[i, 1], points.position[i, 2]
     sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+    around = _0  # from all places, some of which a lamp's cone may leave out
+    for j in range(points.spread.shape[1]):
+        x, y, z = points.spread[i, j, 0], points.spread[i, j, 1], points.spread[i, j, 2]
+        around = max(around, x * x + y * y + z * z)
+    around = np.float32(math.sqrt(around))
     for g in range(len(emitters.groups)):
         if emitters.groups[g] < 0:
             block.size[k], block.estimate[k, g] = cut_for(
-                tree.nodes, tree.two_sided, tree.children, tree.root, px, py, pz, sx, sy, sz, block.members[k], block.cdf[k]
+                tree.nodes, tree.two_sided, tree.children, tree.root, px, py, pz, around, sx, sy, sz, block.members[k], block.cdf[k]
             )
         else:
-            block.estimate[k, g] = group_estimate(emitters, g, px, py, pz, sx, sy, sz)
+            block.estimate[k, g] = group_estimate(emitters, g, px, py, pz, around, sx, sy, sz)
     deal(block.estimate[k], samples, to_unit(hash_combine(hash_combine(seed, i), first)), block.count[k], block.weight[k])
+    for g in range(len(emitters.groups)):
+        block.number[k, g] = _1 / block.weight[k, g] if block.weight[k, g] > _0 else _0
     if len(points.wo) > 0:
         set_point_lobe(points, i, block.lobe[k])
         block.drawn[k] = reflection_count(block.lobe[k], points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], reflections)
@@ -386,11 +397,14 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
     cosine = sx * dx + sy * dy + sz * dz
     if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
         return n
+    if points.gathered[i] > 0 and emitters.kind[e] == TRIANGLE:
+        w *= share_of(
+            aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz), _gather_density(points.gathered[i], cosine)
+        )
     light, glossy, ray = rays.light[n], rays.glossy[n], rays.ray[n]
     if points.tilt[i] > _0:  # in place of the mean, which is in the albedo
         cosine *= shadowing(points.tilt[i], gx * dx + gy * dy + gz * dz) / mean_shadowing(points.tilt[i])
-    w *= cosine
-    light[0], light[1], light[2] = w * r, w * g, w * b
+    light[0], light[1], light[2] = w * cosine * r, w * cosine * g, w * cosine * b
     if block.lobe[k, ALPHA] > _0 and shine > _0:
         fr, fg, fb = _lobe_share(emitters, e, block.lobe[k], block.drawn[k], block.expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
         glossy[0], glossy[1], glossy[2] = shine * fr * r, shine * fg * g, shine * fb * b
@@ -456,7 +470,7 @@ def _add_gathered(scene, points, start, size, block, g, rays, n):
         if not block.estimate[k, g] > _0:
             continue
         for s in range(points.gathered[i]):
-            if points.met[i, s] == STOPPED:
+            if not points.met[i, s] & (ESCAPED | VEILED):
                 continue
             dx, dy, dz, _ = gather_ray(seed, i, first + s, points.ns[i, 0], points.ns[i, 1], points.ns[i, 2])
             r, gr, b = world_radiance(emitters.world, dx, dy, dz)
@@ -465,7 +479,7 @@ def _add_gathered(scene, points, start, size, block, g, rays, n):
                 scene, points, block, i, k, e, points.position[i, 0], points.position[i, 1], points.position[i, 2], dx, dy, dz,
                 np.float32(np.inf), _0, _0, r, gr, b, _1, _0, block.first[k] + s, rays, n,
             )  # fmt: skip
-            if n > before and points.met[i, s] == ESCAPED:
+            if n > before and points.met[i, s] & ESCAPED:
                 rays.ray[before, 6] = -_1
     return n
 
@@ -486,7 +500,7 @@ def _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, s
                 continue
             later = block.count[k, g] - before
             sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
-            number = _1 / block.weight[k, g]
+            number = block.number[k, g]
             guided = aim(guide, k, sx, sy, sz, before, later, number, gathered)
             scramble = hash_combine(hash_combine(seed, i), g)
             for s in range(later):
@@ -501,17 +515,75 @@ def _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, s
                     dx, dy, dz, density = draw(guide, u1, u2)
                     r, gr, b = world_radiance(emitters.world, dx, dy, dz)
                     own = own_density(world_density(emitters.world, sx, sy, sz, dx, dy, dz), density, before, later, number, guided)
-                    even = np.float32(gathered) * _INV_PI * max(_0, sx * dx + sy * dy + sz * dz)
+                    even = _gather_density(gathered, sx * dx + sy * dy + sz * dz)
                     w, shine = _1 / (own + even), _1 / own
                 else:
                     dx, dy, dz, _, r, gr, b, _, _ = sample_emitter(emitters, e, px, py, pz, sx, sy, sz, u1, u2, rows, surface)
                     w = shine = block.weight[k, g]
                     if gathered > 0:
                         own = number * world_density(emitters.world, sx, sy, sz, dx, dy, dz)
-                        even = np.float32(gathered) * _INV_PI * max(_0, sx * dx + sy * dy + sz * dz)
+                        even = _gather_density(gathered, sx * dx + sy * dy + sz * dz)
                         w *= own / (own + even)
                 n = _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, np.float32(np.inf), _0, _0, r, gr, b, w, shine, -1, rays, n)
     return n
+
+
+@inlined
+def _gather_density(rays, cosine):
+    """Density (1/sr) of so many gather rays."""
+    return np.float32(rays) * max(_0, cosine) * _INV_PI
+
+
+@leaf
+def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
+    """Adds what the gather rays of the `size` points from `start` on have found to shine, less the share of shadow rays, to their rows of `out`."""
+    emitters = scene.emitters
+    half = out.shape[1] // 2
+    seed, first = np.uint32(points.gather_key[0]), points.gather_key[1]
+    for k in range(size):
+        i = start + k
+        px, py, pz = points.position[i, 0], points.position[i, 1], points.position[i, 2]
+        gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
+        sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+        for s in range(points.gathered[i]):
+            if not points.met[i, s] & SHINING:
+                continue
+            dx, dy, dz, cosine = gather_ray(seed, i, first + s, sx, sy, sz)
+            ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz)
+            triangle, _, _, _, r, g, b, clear, _ = nearest_surface(
+                scene,
+                packet,
+                rows,
+                surface,
+                ox,
+                oy,
+                oz,
+                dx,
+                dy,
+                dz,
+                np.float32(np.inf),
+                DIFFUSE,
+                seed,
+                gather_path(i, first + s),
+                VEIL,
+                OUTSIDE,
+            )
+            e = emitter_of(emitters, triangle) if triangle >= 0 else -1
+            if e < 0:
+                continue
+            aimed = aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz)
+            density = _gather_density(points.gathered[i], cosine)
+            w = cosine * share_of(density, aimed) / density
+            if points.tilt[i] > _0:
+                w *= shadowing(points.tilt[i], gx * dx + gy * dy + gz * dz) / mean_shadowing(points.tilt[i])
+            r, g, b = w * r * surface[EMISSION], w * g * surface[EMISSION + 1], w * b * surface[EMISSION + 2]
+            c = 3 * emitters.light_group[e]
+            out[i, c] += clear * r
+            out[i, c + 1] += clear * g
+            out[i, c + 2] += clear * b
+            out[i, c + half] += (_1 - clear) * r
+            out[i, c + half + 1] += (_1 - clear) * g
+            out[i, c + half + 2] += (_1 - clear) * b
 
 
 @leaf
@@ -620,6 +692,8 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
         _collect(rays, n, start, guide, out, glossy)  # not before the later ones are aimed, which tell what share the first have
         n_rays += _trace(scene, packet, rows, surface, points, start, later, n_later)
         _collect(later, n_later, start, guide, out, glossy)
+        if len(scene.emitters.triangle) > 0:
+            _add_shining(scene, packet, rows, surface, points, start, size, block, out)
     return n_rays
 
 
@@ -675,7 +749,7 @@ def direct_light(
             (`methods.glossy.reflect`, called with the same numbers).
         lobes: whether the points' lobes matter at all; without, they need the arrays position, ns, ng and error only (and may have spread and tilt).
         apart: whether to tell apart what comes from lamps with sharp shadows (`sharp_emitters`), if there are any.
-        gathered: gather rays that the points have traced, which then count for what they find of the world; None for none.
+        gathered: gather rays that the points have traced, which then count for what they find of the world and of shining surfaces; None for none.
 
     Returns:
         (DirectLight, number of rays traced).

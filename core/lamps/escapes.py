@@ -1,4 +1,4 @@
-"""Gather rays that meet the world: they find direct light as shadow rays do, and cost nothing more (`lamps.direct`)."""
+"""Gather rays that meet the world or shining surfaces: they find direct light as shadow rays do, and cost nothing more (`lamps.direct`)."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from ..jit import inlined
 from ..sampling.hashing import hash_combine
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..sampling.sequences import r2
-from ..scene import DIFFUSE, SHADOW
+from ..scene import DIFFUSE, EMISSIVE, SHADOW, Geometry, MaterialTables
 
-STOPPED, ESCAPED, VEILED = 0, 1, 2  # met an opaque surface first, nothing at all, something that may let light through
+# Bits of what a ray has met: nothing at all; first something that may let light through; in the end a surface that shines.
+ESCAPED, VEILED, SHINING = 1, 2, 4
+VEIL = 60  # dimension of the random numbers by which a ray passes what is partly transparent
 
 
 class GatherRays(NamedTuple):
     """Cosine-distributed rays that N points have traced.
 
-    count: (N,) int32, rays of each.  met: (N, R) uint8, of those above for each.  seed, first: of their random numbers (`gather_ray`).
+    count: (N,) int32, rays of each.  met: (N, R) uint8, bits of each.  seed, first: of their random numbers (`gather_ray`).
     """
 
     count: np.ndarray
@@ -32,9 +34,17 @@ def no_gather_rays(n: int) -> GatherRays:
     return GatherRays(np.zeros(n, np.int32), np.zeros((n, 0), np.uint8), 0, 0)
 
 
-def shadows_alike(visibility: np.ndarray) -> bool:
-    """Whether rays of diffuse light and shadow rays may meet the same objects, of a `visibility` (O,) each: else they cannot stand for each other."""
-    return bool((((visibility & DIFFUSE) > 0) == ((visibility & SHADOW) > 0)).all())
+def shadows_alike(geometry: Geometry, materials: MaterialTables) -> bool:
+    """Whether gather rays may stand for shadow rays: both meet the same objects, and the former all that shine."""
+    diffuse = (geometry.object_visibility & DIFFUSE) > 0
+    shining = np.unique(geometry.object[(materials.flags[geometry.material] & EMISSIVE) > 0])
+    return bool((diffuse == ((geometry.object_visibility & SHADOW) > 0)).all() and diffuse[shining].all())
+
+
+@inlined
+def gather_path(k, turn):
+    """Number of the path that the ray `turn` of point k begins, for random numbers."""
+    return np.uint32(k * np.int64(977) + turn)
 
 
 @inlined

@@ -106,6 +106,19 @@ def lamp_along(emitters, e, px, py, pz, dx, dy, dz):
 
 
 @leaf
+def emitter_of(emitters, triangle):
+    """The emitter that a triangle is, -1 for none (their list is sorted)."""
+    low, high = 0, len(emitters.triangle)
+    while low < high:
+        middle = (low + high) >> 1
+        if emitters.triangle[middle] < triangle:
+            low = middle + 1
+        else:
+            high = middle
+    return emitters.first_triangle + low if low < len(emitters.triangle) and emitters.triangle[low] == triangle else -1
+
+
+@leaf
 def emitter_density(emitters, e, px, py, pz, nx, ny, nz, dx, dy, dz):
     """Density (per sr) of `sample_emitter` for the surface p with normal n in a direction d that meets emitter e."""
     lamps, kind, flags = emitters.lamps, emitters.kind[e], emitters.flags[e]

@@ -34,10 +34,18 @@ def _cos_less(cos_a, cos_b):
 @leaf
 def importance(nodes, two_sided, node, px, py, pz, nx, ny, nz):
     """Estimate of the irradiance (mean of the channels) that a node can send to p with normal n; 0 if it cannot."""
+    return importance_around(nodes, two_sided, node, px, py, pz, _0, nx, ny, nz)
+
+
+@leaf
+def importance_around(nodes, two_sided, node, px, py, pz, around, nx, ny, nz):
+    """The same for a point that may lie up to `around` (m) beside p; 0 only if the node can send nothing to any of these."""
     lx, ly, lz = nodes[node, LOWER], nodes[node, LOWER + 1], nodes[node, LOWER + 2]
     ux, uy, uz = nodes[node, UPPER], nodes[node, UPPER + 1], nodes[node, UPPER + 2]
     vx, vy, vz = _HALF * (lx + ux) - px, _HALF * (ly + uy) - py, _HALF * (lz + uz) - pz
     r2 = np.float32(0.25) * ((ux - lx) ** 2 + (uy - ly) ** 2 + (uz - lz) ** 2)
+    if around > _0:
+        r2 = (np.float32(math.sqrt(r2)) + around) ** 2
     d2 = vx * vx + vy * vy + vz * vz
     if d2 <= r2 * np.float32(1.0001):  # within the bounding sphere anything is possible
         return nodes[node, ENERGY] / max(r2, np.float32(1e-12))
@@ -57,15 +65,15 @@ def importance(nodes, two_sided, node, px, py, pz, nx, ny, nz):
 
 
 @leaf
-def cut_for(nodes, two_sided, children, root, px, py, pz, nx, ny, nz, members, cdf):
-    """A cut through the tree for one point, finer where more light comes from -> (number of nodes, sum).
+def cut_for(nodes, two_sided, children, root, px, py, pz, around, nx, ny, nz, members, cdf):
+    """A cut through the tree for one point, and what lies up to `around` beside it, finer where more light comes from -> (number of nodes, sum).
 
     members: (CUT,) int32, cdf: (CUT,) float32 are filled with nodes and the running sums of their importances.
     Inner nodes know little of what comes from them; those of more than an average share are opened.
     """
     n = nodes.shape[0] - children.shape[0]
     members[0] = root
-    cdf[0] = importance(nodes, two_sided, root, px, py, pz, nx, ny, nz)
+    cdf[0] = importance_around(nodes, two_sided, root, px, py, pz, around, nx, ny, nz)
     total = cdf[0]
     size = 1
     at = 0
@@ -73,8 +81,8 @@ def cut_for(nodes, two_sided, children, root, px, py, pz, nx, ny, nz, members, c
         node = members[at]
         if node >= n and cdf[at] > _0 and size < members.shape[0] and cdf[at] * _FINE > total:
             left, right = children[node - n, 0], children[node - n, 1]
-            a = importance(nodes, two_sided, left, px, py, pz, nx, ny, nz)
-            b = importance(nodes, two_sided, right, px, py, pz, nx, ny, nz)
+            a = importance_around(nodes, two_sided, left, px, py, pz, around, nx, ny, nz)
+            b = importance_around(nodes, two_sided, right, px, py, pz, around, nx, ny, nz)
             total += a + b - cdf[at]
             members[at], cdf[at] = left, a
             members[size], cdf[size] = right, b

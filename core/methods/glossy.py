@@ -14,7 +14,7 @@ import numpy as np
 
 from ..jit import inlined, kernel, leaf
 from ..lamps.direct import aimed_density, direct_light, expected_samples, passed, set_point_lobe
-from ..lamps.lookup import lamp_along, share_of
+from ..lamps.lookup import emitter_of, lamp_along, share_of
 from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, WORLD
 from ..lamps.world import world_radiance
 from ..rays.offsets import hit_point, offset_origin
@@ -61,19 +61,6 @@ _0 = np.float32(0.0)
 _INV_PI = np.float32(1 / np.pi)
 _1 = np.float32(1.0)
 _SHORT = np.float32(0.9999)  # as for shadow rays: a lamp often lies in a surface
-
-
-@kernel
-def _emitter_of(emitters, triangle):
-    """The emitter that a triangle is, -1 for none (their list is sorted)."""
-    low, high = 0, len(emitters.triangle)
-    while low < high:
-        middle = (low + high) >> 1
-        if emitters.triangle[middle] < triangle:
-            low = middle + 1
-        else:
-            high = middle
-    return emitters.first_triangle + low if low < len(emitters.triangle) and emitters.triangle[low] == triangle else -1
 
 
 @inlined
@@ -193,7 +180,7 @@ def _reflect_chunk(
             if behind:
                 hx, hy, hz, nx, ny, nz = -hx, -hy, -hz, -nx, -ny, -nz
             if flags & EMISSIVE:
-                e = _emitter_of(emitters, triangle)
+                e = emitter_of(emitters, triangle)
                 share = _1
                 if e >= 0:
                     share = share_of(drawn, aimed_density(emitters, expected, e, x, y, z, sx, sy, sz, dx, dy, dz))

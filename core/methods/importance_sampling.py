@@ -20,7 +20,7 @@ import numpy as np
 from ..jit import inlined, kernel, leaf
 from ..lamps import focus_share, focused
 from ..lamps.direct import set_point_lobe
-from ..lamps.escapes import ESCAPED, VEILED, GatherRays, gather_ray
+from ..lamps.escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray
 from ..particles import Vpls, is_ahead, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
@@ -44,7 +44,7 @@ from ..rays.packet import (
 from ..rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
-from ..scene import DIFFUSE, TRANSPARENT
+from ..scene import DIFFUSE, EMISSIVE, TRANSPARENT
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
@@ -188,7 +188,7 @@ def _gathered(
             met[k, turn[lane] - first] = ESCAPED
             continue
         dx, dy, dz = direction[lane, 0], direction[lane, 1], direction[lane, 2]
-        path = np.uint32(k * np.int64(977) + turn[lane])
+        path = gather_path(k, turn[lane])
         u, v, t = hit[lane, 0], hit[lane, 1], hit[lane, 2]
         wr = wg = wb = _1 / np.float32(counts[k])
         tr = tg = tb = _1
@@ -200,11 +200,13 @@ def _gathered(
                 points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz,
             )  # fmt: skip
             triangle, u, v, t, tr, tg, tb, _, entered = nearest_surface(
-                scene, single, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, 60, OUTSIDE
+                scene, single, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), DIFFUSE, seed, path, VEIL, OUTSIDE
             )
             if triangle < 0:
                 continue
             wr, wg, wb = wr * tr, wg * tg, wb * tb
+        if scene.materials.flags[scene.material[triangle]] & EMISSIVE:
+            met[k, turn[lane] - first] |= SHINING
         x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
         cos_y = -(gx * dx + gy * dy + gz * dz)
         behind = cos_y < 0

@@ -51,7 +51,7 @@ def _descents(tree, p, n, count, hits, inverse):
 def _choices(tree, p, n, count, picks, total):
     members = np.empty(CUT, np.int32)
     cdf = np.empty(CUT, np.float32)
-    size, _ = cut_for(tree.nodes, tree.two_sided, tree.children, tree.root, p[0], p[1], p[2], n[0], n[1], n[2], members, cdf)
+    size, _ = cut_for(tree.nodes, tree.two_sided, tree.children, tree.root, p[0], p[1], p[2], np.float32(0), n[0], n[1], n[2], members, cdf)
     for i in range(count):
         u = np.float32((i + 0.5) / count)
         e, rarity = choose(tree.nodes, tree.two_sided, tree.children, p[0], p[1], p[2], n[0], n[1], n[2], members, cdf, size, u, picks[i])

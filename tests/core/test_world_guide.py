@@ -9,7 +9,7 @@ import pytest
 from lumigate.core import scene as sc
 from lumigate.core.jit import kernel
 from lumigate.core.lamps import direct_irradiance, direct_light, world_guide
-from lumigate.core.lamps.escapes import ESCAPED, STOPPED, VEILED, GatherRays, gather_ray
+from lumigate.core.lamps.escapes import ESCAPED, VEILED, GatherRays, gather_ray
 from lumigate.core.pipeline import render
 from lumigate.core.sampling.sequences import sobol
 from lumigate.core.settings import RenderSettings
@@ -102,7 +102,7 @@ def through_window(points, rays, seed, x=0.6, veiled=False):
     _directions(np.uint32(seed), 7, d)
     at = points.position[:, None, :2] + d[..., :2] * (HEIGHT / d[..., 2:])
     open_ = (np.abs(at - (x, 0)) < HALF).all(axis=2) | (np.abs(at) > 40).any(axis=2)
-    met = np.where(veiled, VEILED, np.where(open_, ESCAPED, STOPPED)).astype(np.uint8) * np.ones((n, rays), np.uint8)
+    met = np.where(veiled, VEILED, np.where(open_, ESCAPED, 0)).astype(np.uint8) * np.ones((n, rays), np.uint8)
     return GatherRays(np.full(n, rays, np.int32), met, seed, 7)
 
 
