@@ -30,6 +30,7 @@ _LIBRARY_NAMES = ("libOpenImageDenoise.so.2", "libOpenImageDenoise.so", "libOpen
 _MEAN_FACTOR = 1.5
 # Times the mean of the square of so many pixels to each side, and of the picture: what is so bright is held against the pixels next to it.
 FAR_BRIGHTER, AROUND = np.float32(4.0), 7
+FAINT = 1e-4  # mean radiance, below which a picture is brightened first
 ROWS = 32  # of a picture a chunk
 # Every picture is mirrored beyond its borders: at a bare corner the network is off by up to 80 %.  8 pixels leave
 # 13-15 % less error in a noisy 480x270 for 10 % more time, more pixels no less; a tiny picture needs the wider border.
@@ -223,6 +224,11 @@ class Denoiser:
             core.threads.Cancelled: `progress` returned False.
         """
         color = _finite_neighbours(np.maximum(_image(color), 0))
+        mean = float(color.mean(dtype=np.float64))
+        if 0 < mean < FAINT:  # the library's own exposure ends there
+            scale = np.float32(min(1 / mean, 1e30))
+            settings = dict(position=position, clean_aux=clean_aux, preserve_mean=preserve_mean, quality=quality, threads=threads)
+            return self.denoise(scale * color, albedo, normal, **settings) / scale
         guides = {"albedo": albedo, "normal": normal}
         guides = {name: np.nan_to_num(_image(guide, color), posinf=0, neginf=0) for name, guide in guides.items() if guide is not None}
         if position is not None:

@@ -723,13 +723,16 @@ class DirectLight(NamedTuple):
     sharp: np.ndarray | None = None
 
 
-def direct_irradiance(scene, points, samples: int, seed: int, threads: int = 0, progress: Progress | None = None, *, first: int = 0):
+def direct_irradiance(
+    scene, points, samples: int, seed: int, threads: int = 0, progress: Progress | None = None, *, first: int = 0,
+    gathered: GatherRays | None = None,
+):  # fmt: skip
     """Direct irradiance at shading points, as `direct_light`; points need the arrays position, ns, ng and error only.
 
     Returns:
         ((N, 3 G) float32 W/m^2, with what passes glass, number of rays traced).
     """
-    light, rays = direct_light(scene, points, samples, seed, threads, progress, first=first, lobes=False)
+    light, rays = direct_light(scene, points, samples, seed, threads, progress, first=first, lobes=False, gathered=gathered)
     return light.irradiance + light.irradiance_by_glass, rays
 
 

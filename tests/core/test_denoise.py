@@ -315,3 +315,11 @@ def test_sharp_shadows_do_not_go_with_the_noise_of_other_lamps(denoiser):
     bad[5, 7] = np.nan
     assert np.isfinite(replace(whole, direct=bad + sky, sharp=bad).denoised(denoiser, 2).direct).all()
     assert whole.blend(apart).sharp is None and (apart.blend(apart).sharp == stripes).all()
+
+
+@pytest.mark.parametrize("power", [1e-30, 1e-12, 1e-8])
+def test_faint_pictures_are_denoised_as_bright_ones(denoiser, power):
+    rng = np.random.default_rng(1)
+    color = rng.gamma(0.5, 2.0, (48, 64, 3)).astype(np.float32)
+    bright, faint = (denoiser.denoise(color * np.float32(scale)) for scale in (1.0, power))
+    np.testing.assert_allclose(faint / np.float32(power), bright, rtol=0.02)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lumigate.core import scene as sc
-from lumigate.core.lamps import build_emitters, world_tables
+from lumigate.core.lamps import build_emitters, direct_irradiance, world_tables
 from lumigate.core.methods.foreseen import EVEN, VISIBLE, foreseen
 from lumigate.core.methods.importance_sampling import ImportanceSampling, light_table
 from lumigate.core.methods.light_cache import DEPTH, Probes, build_light_cache, look_up, no_cache
@@ -12,6 +12,7 @@ from lumigate.core.methods.partition import strengths, trusted
 from lumigate.core.methods.probes import trace_probes
 from lumigate.core.particles import SHARPEST, trace_by_power, trace_particles
 from lumigate.core.rays import RayScene
+from lumigate.core.surfaces.layout import TRANSPARENCY
 from lumigate.core.threads import Cancelled
 from lumigate.core.transport import transport
 from lumigate.core.view.points import shares
@@ -445,3 +446,36 @@ def test_strength_of_a_light_does_not_hang_on_units():
     np.testing.assert_allclose(strengths(100 * flux, 50.0, places), once, rtol=1e-5)
     np.testing.assert_allclose(strengths(100 * flux, 0.5, 10 * places), once, rtol=1e-5)
     assert not strengths(flux, 0.5, np.zeros((1, 3))).any() and not strengths(flux, 0.0, places).any()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5], ids=["opaque", "half transparent"])
+def test_gather_rays_that_meet_shining_surfaces_count_for_direct_light(build, share):
+    # A shining panel stands out from the wall that it lights: to the wall's points it is a near sliver, seen at a grazing angle.
+    wall = [(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)]
+    panels = [[(x, -0.4, 0.0), (x, 0.4, 0.0), (x, 0.4, 0.1), (x, -0.4, 0.1)] for x in (-0.6, 0.6)]
+    stuff = build.materials((0.5, 0.0), (0.2, 3.0))
+    if share:
+        stuff.tables.flags[1] |= sc.TRANSPARENT
+        stuff.tables.constant[1, TRANSPARENCY : TRANSPARENCY + 3] = share
+    scene = build.scene(
+        build.geometry(*build.quads(wall, *panels), np.repeat([0, 1], [2, 4])), stuff, camera=build.camera(position=(0, 0, 1.5))
+    )
+    rays = RayScene(
+        scene.geometry.vertices, scene.geometry.triangles, None, (stuff.tables.flags[scene.geometry.material] & sc.TRANSPARENT) > 0
+    )
+    tables = transport(scene.geometry, scene.materials.tables, rays.tables, build_emitters(scene))
+    points = view(scene, rays.tables, world_tables(scene.world), 1, 1, 1).points
+    found = [[], []]
+    for seed in range(160):
+        solver = ImportanceSampling(samples=0, gather=8, seed=seed)
+        solver.cache_light(tables, points, paths=100)
+        solver.prepare(tables, points, 16)
+        solver.irradiance(points)
+        for kind, gathered in enumerate((None, solver.gathered)):
+            found[kind].append(direct_irradiance(tables, points, 4, seed, gathered=gathered)[0][:, 0])
+    rays.close()
+    alone, together = np.array(found, np.float64)
+    lit = alone.mean(axis=0) > 0.02 * alone.mean()
+    error = np.sqrt((alone.mean(axis=1).var() + together.mean(axis=1).var()) / len(alone))
+    assert abs(together.mean() - alone.mean()) < 4 * error < 0.05 * alone.mean()
+    assert together.var(axis=0)[lit].mean() < (1.0 if share else 0.7) * alone.var(axis=0)[lit].mean()

@@ -720,3 +720,17 @@ def test_samples_lie_on_the_emitter(name):
         assert np.abs(local[:, 2]).max() < 1e-5
         u, v = (np.abs(local[inside, :2]) / np.array(rows[0]["size"]) * 2).T
         assert (u * u + v * v).max() < 1 + 1e-4 if name == "ellipse" else max(u.max(), v.max()) < 1 + 1e-4
+
+
+def test_lamps_reach_all_places_of_a_point():
+    """The cone of a spot holds half of a pixel's places, but not its first: alone, and in a tree of many."""
+    spots = [lamp(sc.SPOT, 10.0, (0.3 + 3 * k, 0, 1), angle=0.2) for k in range(40)]
+    for rows in (spots[:1], spots):
+        light = lit(*rows, quad=([(-200, -4, 0), (200, -4, 0), (200, 4, 0), (-200, 4, 0)],))
+        n = 256
+        up = np.tile(np.float32(UP), (n, 1))
+        points = SimpleNamespace(position=np.zeros((n, 3), np.float32), ns=up, ng=up, error=np.full(n, 1e-6, np.float32))
+        points.spread = np.zeros((n, 3, 3), np.float32)
+        points.spread[:, 1:, 0] = 0.3
+        found, _ = direct_irradiance(light.tables, points, 8, 1)
+        assert found.mean() == pytest.approx(5.0, rel=0.01)
