@@ -77,6 +77,9 @@ MANY_POINTS = 200_000
 # times more paths are traced: the light of all bounces hangs on them.
 TELLING = 300.0
 MOST_MORE = 3
+# Where about as few as this tell, as of the patch below a spot lamp, half of what else would be left to the cache is the lights' to carry:
+# particles find every patch, and as much of it as it has light.
+FEW_TELL = 50.0
 PATHS_A_POINT = 64  # at most: a view of a few points does not need as many
 # Light that bounces on from outside of where sun and world are focused is told by few particles of much power, so many times as much as the
 # others' as the focus is smaller than the scene: where that is more than this inverse, later bounces are the gather rays' to that extent.
@@ -413,11 +416,11 @@ def pool_growth(points: int) -> int:
     return 2 ** max(0, round(0.5 * math.log2(max(points, 1) / MANY_POINTS)))
 
 
-def _telling(probes: Probes) -> float:
-    """Kish's effective number of the probes by which visible points know of direct light; infinite where there is none."""
-    light = np.einsum("nc->n", probes.direct[::DEPTH].astype(np.float64))
+def _telling(direct: np.ndarray) -> float:
+    """Kish's effective number of the probes that know of the direct light (N, 3 G); 0 where there is none."""
+    light = np.einsum("nc->n", direct.astype(np.float64))
     squares = float(light @ light)
-    return float(light.sum()) ** 2 / squares if squares > 0 else math.inf
+    return float(light.sum()) ** 2 / squares if squares > 0 else 0.0
 
 
 def light_table(vpls: Vpls, subsets: int) -> np.ndarray:
@@ -477,19 +480,21 @@ class ImportanceSampling:
         probes, rays = tracer(scene, points, paths, seed, self.threads, part(progress, 0.0, 0.4))
         first = probes
         if own and focus:
-            more = min(MOST_MORE, math.ceil(TELLING / max(1.0, _telling(probes))) - 1)
-            if more > 0:
+            telling = _telling(probes.direct[::DEPTH])  # what visible points know
+            more = min(MOST_MORE, math.ceil(TELLING / max(1.0, telling)) - 1)
+            if more > 0 and telling > 0:
                 others, found = tracer(scene, points, more * paths, seed + 1, self.threads, part(progress, 0.4, 0.58))
                 probes, rays = Probes.concatenate([probes, others]), rays + found
         if tracer is trace_probes:
             others, found = trace_farther(scene, points, first, seed, self.threads, part(progress, 0.58, 0.6))
             probes, rays = Probes.concatenate([probes, others]), rays + found
+        self.relied = FEW_TELL**2 / (FEW_TELL**2 + _telling(probes.direct) ** 2) if focus else 0.0
         # Where the view's light comes from last: there the particles are wanted.
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
         self.emitters = focused(scene.emitters, self.lit_from) if focus else scene.emitters
         self.cache: LightCache = build_light_cache(
             probes, self.bounces + (has_lobes(points) or is_translucent(scene)), self.seed, self.threads, part(progress, 0.6, 1.0),
-            gathered=self.bounces, later=min(1.0, RELIABLE * focus_share(self.emitters)),
+            gathered=self.bounces, later=min(1.0, RELIABLE * focus_share(self.emitters)), relied=self.relied,
         )  # fmt: skip
         self.near = np.float32(NEAR * self.cache.size)
         self.weighed = False
@@ -518,6 +523,7 @@ class ImportanceSampling:
         lights = vpls.position[first], vpls.surface_normal[first], vpls.side[first]
         size = float(self.cache.size) * GROWTH ** (LEVELS - 1)
         trust = trusted(strength, *lights, self.cache.root, self.cache.centre, self.cache.side, size)
+        trust += np.float32(self.relied) * (1 - trust)  # what the cache does not know must come from lights, however strong
         self.cache = self.cache._replace(lit=trust[:, None] * self.cache.lit, share=trust * self.cache.share, trust=trust)
 
     def prepare(

@@ -595,11 +595,13 @@ def build_light_cache(
     *,
     gathered: int | None = None,
     later: float = 1.0,
+    relied: float = 0.0,
 ) -> LightCache:
     """Cells that hold what the probes know of light that left 1 to `bounces` surfaces.
 
     gathered: how many of them the light has left that gather rays look up, None for `bounces`.
     later: what virtual lights carry of light that has left several surfaces, as a part of what they carry of other light.
+    relied: the part of what would be left to the cache that virtual lights carry all the same, as far as their geometry term is not clamped.
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -652,7 +654,8 @@ def build_light_cache(
         )  # fmt: skip
     number = number_of.sum(axis=0)
     counts = number_of / np.maximum(number, np.float32(1e-6))
-    sent, lit, share = divided(halves, shine, first_of, counts, bright, number, tau, parent, np.float32(later))
+    later += relied * (1 - later)
+    sent, lit, share = divided(halves, shine, first_of, counts, bright, number, tau, parent, np.float32(later), np.float32(relied))
     return cache._replace(sent=sent, lit=lit, share=share, tau=tau, later=np.float32(later), root=root)
 
 

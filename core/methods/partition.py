@@ -20,7 +20,7 @@ _1 = np.float32(1.0)
 
 def divided(
     halves: np.ndarray, shine: np.ndarray, first: np.ndarray, counts: np.ndarray, bright: np.ndarray, number: np.ndarray, tau: np.float32,
-    parent: np.ndarray, later: np.float32,
+    parent: np.ndarray, later: np.float32, relied: np.float32,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """`sent` (C, 3 G), `lit` (C, 3 G) and `share` (C,) of a light cache.
 
@@ -28,12 +28,13 @@ def divided(
     which virtual lights carry in any case.  first: (2, C, 3 G), the part of it that has left no other surface before; of the rest, lights carry
     `later` times what they else would.  counts: (2, C), how much of each cell either half knows, 1 in all.  bright: (2, C), how
     bright each cell is as the *other* half tells it.  number: (C,), the weight of each cell's probes.  parent: (C,), the next coarser
-    cell, -1 for none.
+    cell, -1 for none.  relied: the part of all other light that lights carry, too.
     """
     sent, lit, share = np.zeros_like(halves[0]), np.zeros_like(halves[0]), np.zeros(len(parent), np.float32)
     rare = np.zeros_like(halves)
     for h in range(2):
         part = bright[h] / (bright[h] + tau)
+        part += relied * (_1 - part)
         own = _mean(halves[h])
         bound = RARE * bright[h] + tau
         beyond = np.where((own > bound) & (parent >= 0), _1 - bound / np.maximum(own, bound), np.float32(0))[:, None]

@@ -11,7 +11,9 @@ from lumigate.core.methods.light_cache import DEPTH, Probes, build_light_cache, 
 from lumigate.core.methods.partition import strengths, trusted
 from lumigate.core.methods.probes import trace_probes
 from lumigate.core.particles import SHARPEST, trace_by_power, trace_particles
+from lumigate.core.pipeline import render
 from lumigate.core.rays import RayScene
+from lumigate.core.settings import RenderSettings
 from lumigate.core.surfaces.layout import TRANSPARENCY
 from lumigate.core.threads import Cancelled
 from lumigate.core.transport import transport
@@ -479,3 +481,24 @@ def test_gather_rays_that_meet_shining_surfaces_count_for_direct_light(build, sh
     error = np.sqrt((alone.mean(axis=1).var() + together.mean(axis=1).var()) / len(alone))
     assert abs(together.mean() - alone.mean()) < 4 * error < 0.05 * alone.mean()
     assert together.var(axis=0)[lit].mean() < (1.0 if share else 0.7) * alone.var(axis=0)[lit].mean()
+
+
+@pytest.mark.parametrize("angle", [1.0, 6.0])
+def test_light_of_a_small_bright_patch_does_not_hang_on_chance(build, angle):
+    # All light comes from where a spot lamp lights the floor: few paths of the cache meet the patch, or none.
+    walls = build.box((-2, -2.5, 0), (2, 2.5, 2.6))
+    angle = np.radians(angle)
+    spot = build.lamp(sc.SPOT, 100 / (1 - np.cos(angle / 2)), (0.3, 0.5, 1.0), angle=angle)
+    scene = build.scene(
+        build.geometry(*walls),
+        build.materials((0.6, 0.0)),
+        lamps=build.lamps(spot),
+        camera=build.camera(position=(0, 0, 2.5), width=64, height=64),
+    )
+    quick = dict(pixel_samples=2, denoise=False, direct_samples=1)
+    expected = np.mean(
+        [render(scene, RenderSettings(method="instant-radiosity", seed=k, **quick)).layers["Indirect"].mean() for k in range(2)]
+    )
+    found = [render(scene, RenderSettings(method="importance-sampling", seed=k, **quick)).layers["Indirect"].mean() for k in range(6)]
+    assert np.median(found) == pytest.approx(expected, rel=0.05)
+    assert 0.95 * expected < min(found) and max(found) < 1.4 * expected
