@@ -46,7 +46,7 @@ from ..transport import Transport
 from ..view.points import ShadingPoints
 from .light_cache import LightCache, add_known, find_cell, no_cache
 from .tails import tail_light
-from .wide_lobes import NARROW, SharedRays, balance, bound, gather_density, is_mirror, is_wide, known_light, no_sharing
+from .wide_lobes import NARROW, SharedRays, balance, bound, drawn_share, gather_density, is_mirror, is_wide, known_light, no_sharing
 
 CHUNK = 512  # points a chunk
 BLOCK = 65536  # points whose reflections are followed together: bounds the memory
@@ -59,6 +59,7 @@ _SHARP = np.float32(0.2)  # roughness of what mirrors well enough to show edges
 _SEED = 0x9E3779B9  # sets these rays apart from those of other stages
 _0 = np.float32(0.0)
 _INV_PI = np.float32(1 / np.pi)
+_THIRD = np.float32(1 / 3)
 _1 = np.float32(1.0)
 _SHORT = np.float32(0.9999)  # as for shadow rays: a lamp often lies in a surface
 
@@ -101,15 +102,17 @@ def _lamps_along(
 
 @kernel
 def _reflect_chunk(
-    scene, cache, near, row, points, owner, begin, end, samples, most, roulette, seed, first, clear, shared, shown, known, guide, hits, mirror,
-    sure,
+    scene, cache, near, row, points, owner, begin, end, samples, most, roulette, seed, first, clear, shared, further, shown, known, guide, hits,
+    mirror, sure, more,
 ):  # fmt: skip
     """Draw up to `most` rays from the lobe of each point begin..end-1: emission that they meet is added to `shown` (N, 3 G), or to `known`
     where it passed glass.
 
     The surfaces met go into `hits`, whose `pixel` is the `owner` (N,) of their point and whose albedo, f0 and f90 hold the
     weight of their ray; one with a narrow lobe reflects (mirror (H,) is 1) or is diffuse (0) at random.  Where the lobe is
-    wider than the cells of the cache, and the surface farther than `near`, what it sends by row `row` is added to `known` (N, 3 G).
+    wider than the cells of the cache, and the surface farther than `near`, what it sends by row `row` is added to `known` (N, 3 G), and by the
+    row before to the extent that Cycles counts the ray as a diffuse one (`wide_lobes.drawn_share`); more (H,) is 0 where it does, at random, else 1.
+    further: (N,) uint8, the `more` that stays what it was found to be, empty where it is to be found.
     clear: (N,) uint8, whether only mirrors lie between the point and the eye; then what its rays meet adds its diffuse albedo to
     `guide` (N, 3), as it is on average, and sure (H,) says whether that meets a mirror itself.
     shared: `SharedRays` of the points, with which wide lobes share what the cache knows.
@@ -137,6 +140,7 @@ def _reflect_chunk(
         key = hash_combine(seed, i)
         entered = np.int64(points.entered[i])
         wide = (shared.gather[i] > 0 or shared.lights) and is_wide(lobe)
+        beneath = _THIRD * (points.albedo[i, 0] + points.albedo[i, 1] + points.albedo[i, 2])
         for s in range(n):
             index = first * n + s
             dx, dy, dz, wr, wg, wb, density = sample_lobe(lobe, sobol(index, 0, key), sobol(index, 1, key))
@@ -200,13 +204,14 @@ def _reflect_chunk(
             if narrow:
                 fr, fg, fb = glossy_albedo(surface, cosine)
                 chance = (fr + fg + fb) / max(fr + fg + fb + ar + ag + ab + through, np.float32(1e-6))
+            across = max(_0, sx * dx + sy * dy + sz * dz)
+            glossy = np.float32(further[i]) if len(further) > 0 else drawn_share(lobe, beneath, density, across)
             shares = wide and not is_mirror(scene.materials, material)
             if (chance < _SHINY or shares) and t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
                 cell = find_cell(
                     cache, px, py, pz, hx, hy, hz, surface_side(material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
                 )
                 if cell >= 0 and shares:
-                    across = max(_0, sx * dx + sy * dy + sz * dz)
                     part = balance(drawn, gather_density(shared.gather[i], across))
                     carried = _0
                     if shared.lights:
@@ -214,12 +219,16 @@ def _reflect_chunk(
                         each = density * np.float32(n)
                         carried = clamped * bound(lobe, across, each * vr, each * vg, each * vb)
                     for c in range(0, known.shape[1], 3):
-                        known[i, c] += part * wr * _INV_PI * known_light(cache, cell, c, carried)
-                        known[i, c + 1] += part * wg * _INV_PI * known_light(cache, cell, c + 1, carried)
-                        known[i, c + 2] += part * wb * _INV_PI * known_light(cache, cell, c + 2, carried)
+                        known[i, c] += part * wr * _INV_PI * known_light(cache, cell, c, glossy, carried)
+                        known[i, c + 1] += part * wg * _INV_PI * known_light(cache, cell, c + 1, glossy, carried)
+                        known[i, c + 2] += part * wb * _INV_PI * known_light(cache, cell, c + 2, glossy, carried)
                     continue
                 elif cell >= 0:
-                    add_known(cache, row, cell, wr * _INV_PI, wg * _INV_PI, wb * _INV_PI, known, i)
+                    part = glossy * _INV_PI
+                    add_known(cache, row, cell, part * wr, part * wg, part * wb, known, i)
+                    if row > 0 and glossy < _1:
+                        part = _INV_PI - part
+                        add_known(cache, row - 1, cell, part * wr, part * wg, part * wb, known, i)
                     continue
             if roulette:
                 go_on = min(np.float32(0.95), max(wr, wg, wb))
@@ -227,6 +236,7 @@ def _reflect_chunk(
                     continue
                 wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
             mirror[n_hits] = sure[n_hits] = 0
+            more[n_hits] = uniform(key, index, 1, 5) < glossy
             if clear[i]:
                 guide[i, 0] += wr * (ar + lr)
                 guide[i, 1] += wg * (ag + lg)
@@ -273,29 +283,29 @@ def _reflect_chunk(
 
 def _draw(
     scene: Transport, cache: LightCache, near: float, row: int, points: ShadingPoints, owner: np.ndarray, samples: int, most: int,
-    roulette: bool, seed: int, threads: int, first: int, clear: np.ndarray, shared: SharedRays,
+    roulette: bool, seed: int, threads: int, first: int, clear: np.ndarray, shared: SharedRays, further: np.ndarray,
 ):  # fmt: skip
     """Rays from all points -> (emission met (N, 3 G), light of the cache (N, 3 G), guide (N, 3), diffuse hits, mirrors hit, whether
-    each of these is sure to be one, number of rays)."""
+    each of these is sure to be one, whether diffuse hits and mirrors have one bounce more, number of rays)."""
     shown, known = (scene.emitters.no_light(len(owner)) for _ in range(2))
     guide = np.zeros((len(owner), 3), np.float32)
     known_by, starts = Reference(cache), Reference(points)
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * most)
-        mirror, sure = (np.empty((end - begin) * most, np.uint8) for _ in range(2))
+        mirror, sure, more = (np.empty((end - begin) * most, np.uint8) for _ in range(3))
         n, rays = _reflect_chunk(
             scene, known_by, np.float32(near), row, starts, owner, begin, end, samples, most, roulette, np.uint32(seed), np.int64(first), clear,
-            shared, shown, known, guide, Reference(room), mirror, sure,
+            shared, further, shown, known, guide, Reference(room), mirror, sure, more,
         )  # fmt: skip
         mirror = mirror[:n].astype(bool)
         room = room.take(slice(0, n))
-        return room.take(~mirror), room.take(mirror), sure[:n][mirror], rays
+        return room.take(~mirror), room.take(mirror), sure[:n][mirror], more[:n][~mirror], more[:n][mirror], rays
 
     parts = run_chunks(work, len(owner), CHUNK, threads)
     diffuse, mirrors = (ShadingPoints.concatenate([part[k] for part in parts]) for k in (0, 1))
-    sure = np.concatenate([part[2] for part in parts]) if parts else np.zeros(0, np.uint8)
-    return shown, known, guide, diffuse, mirrors, sure, sum(part[3] for part in parts)
+    sure, *more = (np.concatenate([part[k] for part in parts]) if parts else np.zeros(0, np.uint8) for k in (2, 3, 4))
+    return shown, known, guide, diffuse, mirrors, sure, more, sum(part[5] for part in parts)
 
 
 def has_lobes(points: ShadingPoints) -> bool:
@@ -331,7 +341,8 @@ def reflect(
     Args:
         samples, reflections, first: as in the call of `lamps.direct_light` that gives the rest of the direct light.
             A point gets up to `reflections` rays, fewer where its lobe is faint beside its diffuse albedo.
-        bounces: diffuse bounces of the indirect light (a glossy one counts as none).
+        bounces: diffuse bounces of the indirect light.  A glossy one counts as none, but to the extent that Cycles draws
+            its directions from the diffuse lobe beneath (`wide_lobes.drawn_share`).
         cache, near: what surfaces farther than `near` (m) are known to send, with a row for `bounces` + 1 surfaces.
         shared: what other rays have found for wide lobes, None for nothing.
 
@@ -349,29 +360,30 @@ def reflect(
         part = ShadingPoints(*(a[block] for a in points))
         key = (seed ^ _SEED) + begin & 0xFFFFFFFF
         owner = np.arange(len(part.pixel), dtype=np.int32)
-        shown, known, guide, diffuse, mirrors, sure, rays = _draw(
+        shown, known, guide, diffuse, mirrors, sure, (more, further), rays = _draw(
             scene, cache, near, bounces, part, owner, samples, reflections, False, key, threads, first, sharp[block].view(np.uint8),
-            shared._replace(gather=shared.gather[block]),
+            shared._replace(gather=shared.gather[block]), np.zeros(0, np.uint8),
         )  # fmt: skip
         direct[block], indirect[block], albedo[block] = shown, known, guide
         total += rays
-        lit = [diffuse]
+        lit, deeper = [diffuse], [more]
         for depth in range(1, MAX_REFLECTIONS):
             if len(mirrors.pixel) == 0:
                 break
             key = key + 1 & 0xFFFFFFFF
             light, rays = direct_light(scene, mirrors, 1, key, threads, reflections=1)
-            shown, known, guide, diffuse, further, surely, drawn = _draw(
+            shown, known, guide, diffuse, seen, surely, (more, beyond), drawn = _draw(
                 scene, cache, near, bounces, mirrors, mirrors.pixel, 1, 1, depth >= _SURE, key, threads, 0, sure,
-                no_sharing(len(mirrors.pixel)),
+                no_sharing(len(mirrors.pixel)), further,
             )  # fmt: skip
             _add(albedo[block], mirrors.pixel, guide)
             _add(indirect[block], mirrors.pixel, light.glossy + light.glossy_by_glass + shown + known)
             lit.append(diffuse)
-            mirrors, sure = further, surely
+            deeper.append(more)
+            mirrors, sure, further = seen, surely, beyond
             total += rays + drawn
         hits = ShadingPoints.concatenate(lit)
-        light = tail_light(scene, hits, bounces + 1, key, threads, cache, near)
+        light = tail_light(scene, hits, bounces, key, threads, cache, near, further=np.concatenate(deeper))
         _add(indirect[block], hits.pixel, light * _INV_PI)
         if progress is not None and not progress(block.stop / n):
             raise Cancelled

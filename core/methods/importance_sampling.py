@@ -61,7 +61,7 @@ from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, LightCache, Probes, build_
 from .partition import strengths, trusted
 from .probes import Tracer, trace_farther, trace_probes
 from .tails import path_light
-from .wide_lobes import WIDE_ALPHA, SharedRays, bound, gather_density, is_mirror, is_wide, known_light
+from .wide_lobes import WIDE_ALPHA, SharedRays, bound, drawn_share, gather_density, is_mirror, is_wide, known_light
 
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
@@ -86,10 +86,11 @@ PATHS_A_POINT = 64  # at most: a view of a few points does not need as many
 RELIABLE = 20.0
 NEVER_STRONG = 0.5  # of a strong light: where none is more, all are trusted
 BATCHES = 4  # of particles: those whose light gather rays carry need not be many
-_WEIGHT, _CARRIED, _REACH = 0, 3, 4  # columns of what a gather ray counts for a wide lobe
+_WEIGHT, _CARRIED, _REACH, _GLOSSY, _SEEN = 0, 3, 4, 5, 6  # columns of what a gather ray counts for a wide lobe, and is to Cycles
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _INV_PI = np.float32(1.0 / np.pi)
+_THIRD = np.float32(1 / 3)
 
 
 @kernel
@@ -105,7 +106,7 @@ def _gather(scene, cache, points, counts, begin, end, first, g_max, near, bounce
         scene, cache, points, counts, begin, end, first, g_max, near, bounces, seed, reflections, lights, out, shown, met,
         new_packet(), new_packet(), np.zeros(SURFACE, np.float32), np.zeros(LOBE, np.float32), new_registers(scene.materials),
         owner, turn, direction, np.empty(WIDTH, np.int32), hit, np.zeros((WIDTH, LOBE), np.float32), np.zeros(WIDTH, np.int64),
-        np.empty((WIDTH, 5), np.float32),
+        np.empty((WIDTH, _SEEN), np.float32),
     )  # fmt: skip
 
 
@@ -117,12 +118,13 @@ def _gather_leaf(
     """`_gather`, its scratch given: it counts no references."""
     n = np.int64(0)
     rays = 0
+    lobed = reflections > 0 or len(cache.radiosity) > bounces
     for base in range(begin, end, WIDTH):
         top = min(base + WIDTH, end)
         most = 0
         for k in range(base, top):
             most = max(most, counts[k])
-            if reflections > 0:
+            if lobed:
                 set_point_lobe(points, k, lobes[k - base])
                 drawn[k - base] = reflection_count(
                     lobes[k - base], points.albedo[k, 0], points.albedo[k, 1], points.albedo[k, 2], reflections
@@ -141,9 +143,12 @@ def _gather_leaf(
                 set_ray(packet, n, ox, oy, oz, dx, dy, dz, _0, np.float32(np.inf), DIFFUSE)
                 owner[n], turn[n] = k, first + s
                 direction[n, 0], direction[n, 1], direction[n, 2] = dx, dy, dz
-                seen[n, _REACH] = np.float32(np.inf)
-                if reflections > 0 and is_wide(lobes[k - base]):
-                    _weigh_lobe(lobes[k - base], drawn[k - base], counts[k], lz, dx, dy, dz, lights, cache.size, seen[n])
+                seen[n, _REACH], seen[n, _GLOSSY] = np.float32(np.inf), _0
+                if lobes[k - base, ALPHA] > _0:
+                    beneath = _THIRD * (points.albedo[k, 0] + points.albedo[k, 1] + points.albedo[k, 2])
+                    _weigh_lobe(
+                        lobes[k - base], beneath, drawn[k - base], counts[k], lz, dx, dy, dz, reflections > 0, lights, cache.size, seen[n]
+                    )
                 n += 1
                 rays += 1
                 if n == WIDTH:
@@ -161,10 +166,16 @@ def _gather_leaf(
 
 
 @leaf
-def _weigh_lobe(lobe, drawn, gather, cosine, dx, dy, dz, lights, cell, seen):
-    """What a gather ray along d counts for a wide lobe, into the row `seen`; cosine: of d with the shading normal, cell: size of the cache's."""
+def _weigh_lobe(lobe, beneath, drawn, gather, cosine, dx, dy, dz, shared, lights, cell, seen):
+    """What a gather ray along d counts for a wide lobe where it is `shared`, into the row `seen`, and how far it is a glossy one to Cycles.
+
+    beneath: diffuse albedo under the lobe, mean of the channels.  cosine: of d with the shading normal.  cell: size of the cache's.
+    """
     r, g, b, density = lobe_value(lobe, dx, dy, dz)
     if not density > _0:
+        return
+    seen[_GLOSSY] = drawn_share(lobe, beneath, density, cosine)
+    if not (shared and is_wide(lobe)):
         return
     scale = _INV_PI / (gather_density(gather, cosine) + np.float32(drawn) * density)
     seen[_WEIGHT], seen[_WEIGHT + 1], seen[_WEIGHT + 2] = scale * r, scale * g, scale * b
@@ -179,7 +190,8 @@ def _gathered(
 ):  # fmt: skip
     """Traces the `lanes` gather rays of a packet and adds what they find to their owners.
 
-    seen: (16, 5), what they count for wide lobes: their weight, the part that lights carry, the least distance.
+    seen: (16, 6), what they count for wide lobes: their weight, the part that lights carry, the least distance; and what part of them is
+        drawn from glossy lobes by Cycles (`wide_lobes.drawn_share`), whose light may have left one surface more.
     """
     intersect_packet(scene.rays, ALL, packet, lanes)
     for lane in range(lanes):
@@ -219,7 +231,9 @@ def _gathered(
             cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
         )  # fmt: skip
         own = sheen = _1
-        more = len(cache.radiosity) > bounces and is_transmitting(points, k)  # to come through counts as no bounce
+        more = _0
+        if len(cache.radiosity) > bounces:
+            more = _1 if is_transmitting(points, k) else seen[lane, _GLOSSY]  # to come through counts as no bounce
         if cell >= 0:
             cos_x = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
             clamped = min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
@@ -228,16 +242,16 @@ def _gathered(
                     out[k, c] += wr * (cache.sent[cell, c] - clamped * cache.lit[cell, c])
                     out[k, c + 1] += wg * (cache.sent[cell, c + 1] - clamped * cache.lit[cell, c + 1])
                     out[k, c + 2] += wb * (cache.sent[cell, c + 2] - clamped * cache.lit[cell, c + 2])
-                    if more:
-                        out[k, c] += wr * (cache.radiosity[bounces, cell, c] - cache.radiosity[bounces - 1, cell, c])
-                        out[k, c + 1] += wg * (cache.radiosity[bounces, cell, c + 1] - cache.radiosity[bounces - 1, cell, c + 1])
-                        out[k, c + 2] += wb * (cache.radiosity[bounces, cell, c + 2] - cache.radiosity[bounces - 1, cell, c + 2])
+                    if more > _0:
+                        out[k, c] += more * wr * (cache.radiosity[bounces, cell, c] - cache.radiosity[bounces - 1, cell, c])
+                        out[k, c + 1] += more * wg * (cache.radiosity[bounces, cell, c + 1] - cache.radiosity[bounces - 1, cell, c + 1])
+                        out[k, c + 2] += more * wb * (cache.radiosity[bounces, cell, c + 2] - cache.radiosity[bounces - 1, cell, c + 2])
                 if t > seen[lane, _REACH] and not is_mirror(scene.materials, scene.material[triangle]):
                     clamped *= seen[lane, _CARRIED]
                     for c in range(0, out.shape[1], 3):
-                        shown[k, c] += tr * seen[lane, _WEIGHT] * known_light(cache, cell, c, clamped)
-                        shown[k, c + 1] += tg * seen[lane, _WEIGHT + 1] * known_light(cache, cell, c + 1, clamped)
-                        shown[k, c + 2] += tb * seen[lane, _WEIGHT + 2] * known_light(cache, cell, c + 2, clamped)
+                        shown[k, c] += tr * seen[lane, _WEIGHT] * known_light(cache, cell, c, more, clamped)
+                        shown[k, c + 1] += tg * seen[lane, _WEIGHT + 1] * known_light(cache, cell, c + 1, more, clamped)
+                        shown[k, c + 2] += tb * seen[lane, _WEIGHT + 2] * known_light(cache, cell, c + 2, more, clamped)
                 continue
             share = clamped * cache.share[cell]
             rest = max(_1 - cache.later * share, np.float32(1e-6))
@@ -250,7 +264,7 @@ def _gathered(
             sx, sy, sz = -sx, -sy, -sz
         path_light(
             scene, single, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered,
-            bounces + more, seed, path, out, k, wr, wg, wb, own, sheen,
+            bounces + np.int64(uniform(seed, path, 3, 2) < more), seed, path, out, k, wr, wg, wb, own, sheen,
         )  # fmt: skip
 
 

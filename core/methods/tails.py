@@ -185,7 +185,7 @@ def path_light(
 
 
 @kernel
-def _tail_chunk(scene, cache, near, points, begin, end, bounces, seed, out):
+def _tail_chunk(scene, cache, near, points, further, begin, end, bounces, seed, out):
     packet = new_packet()
     rows = new_registers(scene.materials)
     surface = np.zeros(SURFACE, np.float32)
@@ -194,7 +194,8 @@ def _tail_chunk(scene, cache, near, points, begin, end, bounces, seed, out):
         weight = _0
         for c in range(3):
             weight = max(weight, points.albedo[i, c] + max(points.f0[i, c], points.f90[i, c]))
-        if not weight > _0:
+        most = bounces + is_transmitting(points, i) + np.int64(further[i])
+        if not weight > _0 or most < 1:
             continue
         # Albedos may be weighted: a path is judged by what it loses on its way alone.
         inverse = _1 / weight
@@ -206,7 +207,7 @@ def _tail_chunk(scene, cache, near, points, begin, end, bounces, seed, out):
         path_light(
             scene, packet, rows, surface, lobe, cache, near, points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
-            points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], np.int64(points.entered[i]), bounces + is_transmitting(points, i), seed, np.uint32(i),
+            points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], np.int64(points.entered[i]), most, seed, np.uint32(i),
             out, i, weight, weight, weight, _1, _1,
         )  # fmt: skip
 
@@ -219,13 +220,19 @@ def tail_light(
     threads: int = 0,
     cache: LightCache | None = None,
     near: float = np.inf,
+    *,
+    further: np.ndarray | None = None,
 ) -> np.ndarray:
-    """One sample of `path_light` at each of N points towards their viewers, (N, 3 G) float32 W/m^2; one bounce more where it comes through."""
+    """One sample of `path_light` at each of N points towards their viewers, (N, 3 G) float32 W/m^2; one bounce more where it comes through.
+
+    further: (N,) uint8, 1 where there is one bounce more, None for nowhere.
+    """
     out = scene.emitters.no_light(len(points.pixel))
+    further = np.zeros(len(out), np.uint8) if further is None else further
     known, starts = Reference(no_cache() if cache is None else cache), Reference(points)
 
     def work(begin, end):
-        _tail_chunk(scene, known, np.float32(near), starts, begin, end, bounces, np.uint32(seed), out)
+        _tail_chunk(scene, known, np.float32(near), starts, further, begin, end, bounces, np.uint32(seed), out)
 
     run_chunks(work, len(out), CHUNK, threads)
     return out

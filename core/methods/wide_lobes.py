@@ -91,10 +91,24 @@ def gather_density(rays, cosine):
 
 
 @inlined
-def known_light(cache, cell, c, carried):
+def drawn_share(lobe, albedo, density, cosine):
+    """Share, 0 to 1, of Cycles' paths towards a direction that it drew from a lobe (row of `surfaces.lobes`), not from the diffuse one beneath.
+
+    albedo: of the diffuse lobe, mean of the channels, on the scale of the lobe's.  density: of `sample_lobe` there, 1/sr.  cosine: of the
+    direction with the shading normal.
+
+    Cycles picks one closure by its albedo and draws the direction from it.  That one's kind tells whether a diffuse bounce is counted, but
+    what the path finds is split into passes by what either closure reflects: to diffuse and to glossy light alike, this share of
+    it has one diffuse bounce more than the rest.
+    """
+    return balance(lobe[ALBEDO] * density, albedo * max(_0, cosine) * _INV_PI)
+
+
+@inlined
+def known_light(cache, cell, c, share, carried):
     """What a cell of a `light_cache.LightCache` sends to a lobe in channel c (W/m^2), less the part `carried` of what virtual lights carry of it.
 
-    A glossy reflection counts as no bounce: the light may have left one surface more than what gather rays look up.
+    share: of it that may have left one surface more than what gather rays look up, `drawn_share`.
     """
     row = len(cache.radiosity) - 1
-    return cache.sent[cell, c] + cache.radiosity[row, cell, c] - cache.radiosity[row - 1, cell, c] - carried * cache.lit[cell, c]
+    return cache.sent[cell, c] + share * (cache.radiosity[row, cell, c] - cache.radiosity[row - 1, cell, c]) - carried * cache.lit[cell, c]
