@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import inlined, leaf
-from ..scene import CAMERA, DIFFUSE as DIFFUSE_RAY, GLOSSY, SHADOW, TRANSMISSION
+from ..scene import CAMERA, GLOSSY, SHADOW, TRANSMISSION
+from ..scene import DIFFUSE as DIFFUSE_RAY
 from . import ggx
 from .layout import (
     DIFFUSE,

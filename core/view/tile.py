@@ -3,9 +3,9 @@
 A tile's samples come in two turns.  The first ones tell which pixels hold edges, holes, textures or lamps; their neighbours get more.  Were a
 pixel's own samples asked, those that by chance miss a thin thing would never be joined by others, and thin things would fade.
 
-Surfaces with transparency are passed through at random, with exact weights, as Cycles does, by numbers that are even over a pixel's samples.  At the first surfaces of
-glass nothing is left to chance: a sample shows both what they reflect and what lies behind.  So it is at mirrors: a sample shows both
-their own colour and, by a ray drawn from the lobe, what they show, which gets shading points of its own as what lies behind glass does.
+Surfaces with transparency are passed through at random, with exact weights, as Cycles does, by numbers that are even over a pixel's
+samples.  At the first surfaces of glass, and the first that is not, nothing is left to chance: a sample shows both what they
+reflect and what lies behind.  So it is at mirrors: a sample shows both their own colour and, by a ray drawn from the lobe, what they show, which gets shading points of its own as what lies behind glass does.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from .camera import camera_ray, pixel_sample
 from .lamps import lamps_between
 
 TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample index
-PANES = 2  # surfaces of glass, or mirrors, that a sample shows as well as what lies behind them
+PANES = 2  # surfaces of glass, mirrors, or one veil, that a sample shows as well as what lies behind them
 POLISHED = np.float32(0.1)  # roughness of a mirror, at most
 PERFECT = np.float32(0.02)  # the same where lamps are met by chance as well as by shadow rays
 SHINY = np.float32(0.3)  # share of the glossy lobe in all that a mirror reflects, at least
@@ -79,7 +79,7 @@ _THIRD = np.float32(1 / 3)
 
 
 class Tile(NamedTuple):
-    """What the 16 pixels of a tile show: a row for each sample, and one for each pane of glass that samples look through.
+    """What the 16 pixels of a tile show: a row for each sample, and one for each pane of glass, or veil, that samples look through.
 
     Rows 0..S-1 are the samples', rows S..count-1 the panes', of at most R = (1 + PANES) S.
 
@@ -97,6 +97,7 @@ class Tile(NamedTuple):
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
     origin: (16, 3), passed: (16,) float32, of the rays of a packet.  axial, before: (16,) float32, depth (m) by a meter of it, and before its origin.
     choice: (16, 2) float32, a uniform number for the next surface with transparency, and the share of all samples among which it is even.
+    parted: (16,) int32, whether the sample shows a surface without glass as well as what lies behind it.
     every: (A,) int32, all lamps.  lobe: (LOBE,) float32, scratch.
     """
 
@@ -126,6 +127,7 @@ class Tile(NamedTuple):
     axial: np.ndarray
     before: np.ndarray
     choice: np.ndarray
+    parted: np.ndarray
     every: np.ndarray
     lobe: np.ndarray
 
@@ -142,7 +144,7 @@ def new_tile(samples, light_groups, lamps):
         np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, 11), f),
         np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, 14), f),
         np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f), np.empty(WIDTH, f), np.empty(WIDTH, f),
-        np.empty((WIDTH, 2), f), np.arange(lamps).astype(i), np.empty(LOBE, f),
+        np.empty((WIDTH, 2), f), np.empty(WIDTH, i), np.arange(lamps).astype(i), np.empty(LOBE, f),
     )  # fmt: skip
 
 
@@ -201,17 +203,19 @@ def _choice(sample, seed, pixel):
 
 
 @leaf
-def _way_on(surface, x, split):
+def _way_on(surface, x, part, split):
     """What a sample shows of a surface with transparency: (way, r, g, b, w, x, p).
 
-    x: uniform in [0, 1), picks a way in proportion to what there is to see.  split: glass shows both itself and what
-    lies behind, as several samples would.  (r, g, b) weighs what lies behind, w the surface itself.  What x leaves is returned: again
+    x: uniform in [0, 1), picks a way in proportion to what there is to see.  split: the surface may show both itself and
+    what lies behind, as several samples would: glass, and with `part` what lets light straight through.  (r, g, b) weighs what lies behind, w the surface itself.  What x leaves is returned: again
     uniform, and as evenly spread among those samples that go this way, whose share of all is p.
     """
     rr, rg, rb = surface[REFRACTION], surface[REFRACTION + 1], surface[REFRACTION + 2]
     tr, tg, tb = surface[TRANSPARENCY] - rr, surface[TRANSPARENCY + 1] - rg, surface[TRANSPARENCY + 2] - rb
     straight, refracted, kept = max(tr, tg, tb), max(rr, rg, rb), largest_kept(surface)
     total = straight + refracted + kept
+    if split and part and refracted == _0 and kept > _0 and straight > _0:
+        return SHOWN | STRAIGHT, tr, tg, tb, _1, x, _1
     x *= total
     if x < straight:
         w = total / straight
@@ -330,6 +334,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
         tile.shown[pixel, s] = 0
         tile.shining[pixel, s] = 1
         passed[lane] = _0
+        tile.parted[lane] = 0
         tile.choice[lane, 0], tile.choice[lane, 1] = _choice(s, seed, py * camera.size[0] + px), _1
         tile.axial[lane] = -(dx * camera.matrix[0, 2] + dy * camera.matrix[1, 2] + dz * camera.matrix[2, 2])
         tile.before[lane] = camera.clip[0]
@@ -371,10 +376,14 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                 evaluate(materials, material[triangle], attributes, triangle, u, v, cosine, rows, surface)
                 if tile.choice[lane, 1] < FINEST:
                     tile.choice[lane, 0], tile.choice[lane, 1] = uniform(seed, number, s, 2 + layer), _1
-                way, r, g, b, w, x, p = _way_on(surface, tile.choice[lane, 0], glass[pixel, s] < PANES)
+                way, r, g, b, w, x, p = _way_on(
+                    surface, tile.choice[lane, 0], tile.parted[lane] == 0, glass[pixel, s] + tile.parted[lane] < PANES
+                )
+                if way == SHOWN | STRAIGHT:
+                    tile.parted[lane] = 1
                 tile.choice[lane, 0], tile.choice[lane, 1] = min(x, BELOW_ONE), p * tile.choice[lane, 1]
                 mirroring = way == SHOWN and behind and flags & REFRACTIVE  # what is reflected totally
-            if mirroring and glass[pixel, s] < PANES:
+            if mirroring and glass[pixel, s] + tile.parted[lane] < PANES:
                 mirrors, ox, oy, oz, dx, dy, dz, r, g, b = _reflected(
                     materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, kinds[pixel, s], entered[pixel, s],
                     uniform(seed, number, s, 100 + layer), uniform(seed, number, s, 200 + layer), rows, surface, tile.lobe,

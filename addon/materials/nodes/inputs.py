@@ -159,8 +159,10 @@ def light_path(node: NodeInput, output: str) -> Value:
         # Glass that is none to shadow rays lets lamps' light through as if nothing were there, which is what it is built for.
         node.warn("Light Path ('Is Shadow Ray') counts for diffuse rays, too")
         rays = SHADOW
-    elif output not in ("Is Camera Ray", "Is Diffuse Ray"):
-        node.warn(f"Light Path ('{output}') knows rays of the camera, its mirrors and its glass, and diffuse ones only")
+    elif output != "Is Camera Ray":
+        node.warn(
+            f"Light Path ('{output}') knows what the camera sees, its mirrors and glass show, and takes all other rays for diffuse ones"
+        )
     return node.emit(ops.VIEWED, p=rays) if rays not in (0, _ANY) else ONE if rays else ZERO
 
 

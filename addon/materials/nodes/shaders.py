@@ -8,7 +8,6 @@ from ..registry import closure
 from ..requests import WORLD_NORMAL
 from ..tree import NodeInput
 
-
 _FAINT = 0.1  # weight of a sheen, up to which the shape of its lobe hardly shows
 
 
