@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import inlined, leaf
+from ..scene import CAMERA, GLOSSY, SHADOW, TRANSMISSION
+from ..scene import DIFFUSE as DIFFUSE_RAY
 from . import ggx
 from .layout import (
     DIFFUSE,
@@ -33,6 +35,8 @@ F = np.float32
 
 # Added to |cosine| where not the camera looks, but light that is reflected on (see `program.reflected_view`).
 REFLECTED = F(4)
+# Added instead where the camera looks by way of a mirror or through glass (see `program.specular_view`).
+MIRRORED, TRANSMITTED = F(5.5), F(6.75)
 # Added as well where the back of glass is seen by a view that began within it (see `program.from_within`).
 WITHIN = F(8)
 
@@ -278,14 +282,21 @@ def view_cosine(cosine):
     """|cosine| of the view, of `program.evaluate`'s argument; the cosine-weighted mean 2/3 for the mean over the views."""
     c = abs(cosine)
     c = c - WITHIN if c >= WITHIN else c
-    return c if c <= F(1) else c - REFLECTED if c >= REFLECTED else F(2 / 3)
+    if c <= F(1):
+        return c
+    if c < REFLECTED:
+        return F(2 / 3)
+    return min(c - (TRANSMITTED if c >= TRANSMITTED else MIRRORED if c >= MIRRORED else REFLECTED), F(1))
 
 
 @inlined
-def is_camera_view(cosine):
-    """Whether `program.evaluate`'s argument is a view of the camera's."""
+def view_rays(cosine):
+    """Kinds of rays, as bits, whose view `program.evaluate`'s argument may be: light that is reflected on is looked for by several."""
     c = abs(cosine)
-    return c <= F(1) or WITHIN <= c < WITHIN + REFLECTED
+    c = c - WITHIN if c >= WITHIN else c
+    if c <= F(1):
+        return CAMERA
+    return TRANSMISSION if c >= TRANSMITTED else GLOSSY if c >= MIRRORED else DIFFUSE_RAY | SHADOW
 
 
 @inlined

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from ..scene import CONSTANT, MaterialTables, Scene
+from ..scene import CONSTANT, GLOSSY, TRANSMISSION, MaterialTables, Scene
 from . import bumps, closures, footprint, outlined, textures
 from .colors import luminance
 from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TILT, TRANSPARENCY
@@ -45,7 +45,7 @@ MEAN_VIEW = 2.0
     FRESNEL,  # dielectric Fresnel term for the index of refraction a.x
     FACING,  # 1 - |cosine| ** a.x
     BACKFACING,  # 1 where the back is seen
-    VIEWED,  # 1 for the camera's view, 0 for light that is reflected on
+    VIEWED,  # 1 for a view of one of the kinds of rays p, else 0
     # -- closures; d is the weight --
     DIFFUSE_CLOSURE,  # colour a
     EMISSION_CLOSURE,  # radiance a
@@ -108,8 +108,15 @@ def reflected_view(cosine):
 
 
 @inlined
+def specular_view(cosine, kind):
+    """What `evaluate` takes for a view of the camera's by way of a mirror (`kind` GLOSSY) or through glass (TRANSMISSION); else the cosine."""
+    offset = closures.TRANSMITTED if kind == TRANSMISSION else closures.MIRRORED if kind == GLOSSY else F(0)
+    return cosine - offset if cosine < F(0) else cosine + offset
+
+
+@inlined
 def from_within(cosine):
-    """What `evaluate` takes for a view (cosine below 0, or `reflected_view` of it) of the back of glass that it did not enter by a front.
+    """What `evaluate` takes for a view (cosine below 0, or `reflected_view` or `specular_view` of it) of the back of glass that it did not enter by a front.
 
     To Cycles it comes from within a solid, the medium that the index of refraction is of: it is reflected totally beyond the critical angle.
     """
@@ -122,7 +129,8 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
 
     tables: MaterialTables.  attributes: (K, T, 3, 4).  (u, v): barycentric, weights of corners 1 and 2.
     cosine: of the camera's view with the shading normal, below 0 where the back of the triangle is seen;
-        `reflected_view(cosine)` for any other view; MEAN_VIEW for the mean over those; see also `from_within`.
+        `specular_view` of it by way of mirrors and glass, `reflected_view` for any other view; MEAN_VIEW for the mean over those;
+        see also `from_within`.
     rows: from `new_registers`.
     """
     if tables.flags[material] & CONSTANT:
@@ -190,7 +198,7 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
         elif op == BACKFACING:
             x = y = z = F(1) if cosine < F(0) else F(0)
         elif op == VIEWED:
-            x = y = z = F(1) if closures.is_camera_view(cosine) else F(0)
+            x = y = z = F(1) if closures.view_rays(cosine) & p else F(0)
         elif op == DIFFUSE_CLOSURE:
             closures.add(surface, DIFFUSE, dx, dy, dz, ax, ay, az)
         elif op == EMISSION_CLOSURE:

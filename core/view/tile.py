@@ -3,9 +3,9 @@
 A tile's samples come in two turns.  The first ones tell which pixels hold edges, holes, textures or lamps; their neighbours get more.  Were a
 pixel's own samples asked, those that by chance miss a thin thing would never be joined by others, and thin things would fade.
 
-Surfaces with transparency are passed through at random, with exact weights, as Cycles does.  At the first surfaces of
-glass nothing is left to chance: a sample shows both what they reflect and what lies behind.  So it is at mirrors: a sample shows both
-their own colour and, by a ray drawn from the lobe, what they show, which gets shading points of its own as what lies behind glass does.
+Surfaces with transparency are passed through at random, with exact weights, as Cycles does, by numbers that are even over a pixel's
+samples.  At the first surfaces of glass, and the first that is not, nothing is left to chance: a sample shows both what they
+reflect and what lies behind.  So it is at mirrors: a sample shows both their own colour and, by a ray drawn from the lobe, what they show, which gets shading points of its own as what lies behind glass does.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..lamps.world import world_radiance
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, set_ray
 from ..rays.trace import ALL, COHERENT, intersect_packet
-from ..sampling.hashing import uniform
+from ..sampling.hashing import hash_key, to_unit, uniform
 from ..scene import CAMERA, GLOSSY, MIRRORING, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
 from ..surfaces.bumps import mean_shadowing
@@ -40,13 +40,13 @@ from ..surfaces.layout import (
 )
 from ..surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal
-from ..surfaces.program import evaluate, from_within, reflected_view
+from ..surfaces.program import evaluate, from_within, specular_view
 from ..surfaces.visibility import passed_glass
 from .camera import camera_ray, pixel_sample
 from .lamps import lamps_between
 
 TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample index
-PANES = 2  # surfaces of glass, or mirrors, that a sample shows as well as what lies behind them
+PANES = 2  # surfaces of glass, mirrors, or one veil, that a sample shows as well as what lies behind them
 POLISHED = np.float32(0.1)  # roughness of a mirror, at most
 PERFECT = np.float32(0.02)  # the same where lamps are met by chance as well as by shadow rays
 SHINY = np.float32(0.3)  # share of the glossy lobe in all that a mirror reflects, at least
@@ -70,13 +70,16 @@ SURFACES, ALL_LIGHT = 1, 2  # what rows of their own show of a mirror's lobe
 # Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
 PLACE, ERROR, FACING, SHADED, TILTED = 0, 3, 4, 7, 10
 MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY = 0, 1, 4, 7, 10, 11
+_GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
+FINEST = np.float32(1e-3)  # shares of the samples below which what is left of their choice has too few bits
+BELOW_ONE = np.float32(1 - 2**-24)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _THIRD = np.float32(1 / 3)
 
 
 class Tile(NamedTuple):
-    """What the 16 pixels of a tile show: a row for each sample, and one for each pane of glass that samples look through.
+    """What the 16 pixels of a tile show: a row for each sample, and one for each pane of glass, or veil, that samples look through.
 
     Rows 0..S-1 are the samples', rows S..count-1 the panes', of at most R = (1 + PANES) S.
 
@@ -93,6 +96,8 @@ class Tile(NamedTuple):
     group: (16, R, 14) float32, rows of each, sums of albedo, f0, f90, roughness and translucency.
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
     origin: (16, 3), passed: (16,) float32, of the rays of a packet.  axial, before: (16,) float32, depth (m) by a meter of it, and before its origin.
+    choice: (16, 2) float32, a uniform number for the next surface with transparency, and the share of all samples among which it is even.
+    parted: (16,) int32, whether the sample shows a surface without glass as well as what lies behind it.
     every: (A,) int32, all lamps.  lobe: (LOBE,) float32, scratch.
     """
 
@@ -121,6 +126,8 @@ class Tile(NamedTuple):
     passed: np.ndarray
     axial: np.ndarray
     before: np.ndarray
+    choice: np.ndarray
+    parted: np.ndarray
     every: np.ndarray
     lobe: np.ndarray
 
@@ -137,7 +144,7 @@ def new_tile(samples, light_groups, lamps):
         np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, 11), f),
         np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, 14), f),
         np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f), np.empty(WIDTH, f), np.empty(WIDTH, f),
-        np.arange(lamps).astype(i), np.empty(LOBE, f),
+        np.empty((WIDTH, 2), f), np.empty(WIDTH, i), np.arange(lamps).astype(i), np.empty(LOBE, f),
     )  # fmt: skip
 
 
@@ -167,16 +174,14 @@ def _same_surface(px, py, pz, nx, ny, nz, qx, qy, qz, mx, my, mz, width):
 
 
 @inlined
-def _signed(flags, cosine, behind, glass, entered):
-    """What `program.evaluate` takes for a view at `cosine` (0..1) of the back of a triangle or not, that has passed `glass` surfaces of glass."""
-    signed = -cosine if behind else cosine
-    if glass > 0:
-        signed = reflected_view(signed)
+def _signed(flags, cosine, behind, kind, entered):
+    """What `program.evaluate` takes for a view at `cosine` (0..1) of the back of a triangle or not, by a ray of this kind."""
+    signed = specular_view(-cosine if behind else cosine, kind)
     return from_within(signed) if behind and entered == 0 and flags & REFRACTIVE else signed
 
 
 @inlined
-def _view_cosine(vertices, triangles, corner_normals, flags, triangle, u, v, dx, dy, dz, glass, entered):
+def _view_cosine(vertices, triangles, corner_normals, flags, triangle, u, v, dx, dy, dz, kind, entered):
     """`_signed` of a view along d, and whether it sees the back."""
     a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
     ex, ey, ez = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
@@ -185,41 +190,54 @@ def _view_cosine(vertices, triangles, corner_normals, flags, triangle, u, v, dx,
     sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
     cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
     behind = gx * dx + gy * dy + gz * dz > 0
-    return _signed(flags, cosine, behind, glass, entered), behind
+    return _signed(flags, cosine, behind, kind, entered), behind
+
+
+@inlined
+def _choice(sample, seed, pixel):
+    """A uniform number in [0, 1), from which a sample draws its way through all surfaces with transparency: a golden section further for each.
+
+    However many samples a pixel has, the share of them that pass is right to within about one sample.
+    """
+    return to_unit(np.uint32(np.uint32(sample) * _GOLDEN + hash_key(seed, pixel, 0, 300)))
 
 
 @leaf
-def _way_on(surface, x, split):
-    """What a sample shows of a surface with transparency: (way, r, g, b, w).
+def _way_on(surface, x, part, split):
+    """What a sample shows of a surface with transparency: (way, r, g, b, w, x, p).
 
-    x: uniform in [0, 1), picks a way in proportion to what there is to see.  split: glass shows both itself and what
-    lies behind, as several samples would.  (r, g, b) weighs what lies behind, w the surface itself.
+    x: uniform in [0, 1), picks a way in proportion to what there is to see.  split: the surface may show both itself and
+    what lies behind, as several samples would: glass, and with `part` what lets light straight through.  (r, g, b) weighs what lies behind, w the surface itself.  What x leaves is returned: again
+    uniform, and as evenly spread among those samples that go this way, whose share of all is p.
     """
     rr, rg, rb = surface[REFRACTION], surface[REFRACTION + 1], surface[REFRACTION + 2]
     tr, tg, tb = surface[TRANSPARENCY] - rr, surface[TRANSPARENCY + 1] - rg, surface[TRANSPARENCY + 2] - rb
     straight, refracted, kept = max(tr, tg, tb), max(rr, rg, rb), largest_kept(surface)
     total = straight + refracted + kept
+    if split and part and refracted == _0 and kept > _0 and straight > _0:
+        return SHOWN | STRAIGHT, tr, tg, tb, _1, x, _1
     x *= total
     if x < straight:
         w = total / straight
-        return STRAIGHT, w * tr, w * tg, w * tb, _0
+        return STRAIGHT, w * tr, w * tg, w * tb, _0, x / straight, straight / total
+    x -= straight
     if split and refracted > _0:
         w = total / (refracted + kept)
-        return SHOWN | REFRACTED, w * rr, w * rg, w * rb, w
-    if x < straight + refracted:
+        return SHOWN | REFRACTED, w * rr, w * rg, w * rb, w, x / (refracted + kept), _1 / w
+    if x < refracted:
         w = total / refracted
-        return REFRACTED, w * rr, w * rg, w * rb, _0
-    return SHOWN, _0, _0, _0, total / kept if kept > _0 else _1
+        return REFRACTED, w * rr, w * rg, w * rb, _0, x / refracted, _1 / w
+    return SHOWN, _0, _0, _0, total / kept if kept > _0 else _1, _0, _1
 
 
 @leaf
-def _reflected(materials, geometry, material, triangle, u, v, dx, dy, dz, glass, entered, u1, u2, rows, surface, lobe):
+def _reflected(materials, geometry, material, triangle, u, v, dx, dy, dz, kind, entered, u1, u2, rows, surface, lobe):
     """How a sample along d goes on from a surface that may mirror: (whether it does, origin, direction, r, g, b), with weight 0 for nowhere."""
     x, y, z, gx, gy, gz, error = hit_point(geometry.vertices, geometry.triangles, triangle, u, v)
     sx, sy, sz = shading_normal(geometry.corner_normals, triangle, u, v, gx, gy, gz)
     behind = gx * dx + gy * dy + gz * dz > 0
     cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
-    signed = _signed(materials.flags[material], cosine, behind, glass, entered)
+    signed = _signed(materials.flags[material], cosine, behind, kind, entered)
     evaluate(materials, material, geometry.attributes, triangle, u, v, signed, rows, surface)
     if surface[ROUGHNESS] > POLISHED:
         return False, x, y, z, dx, dy, dz, _0, _0, _0
@@ -316,6 +334,8 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
         tile.shown[pixel, s] = 0
         tile.shining[pixel, s] = 1
         passed[lane] = _0
+        tile.parted[lane] = 0
+        tile.choice[lane, 0], tile.choice[lane, 1] = _choice(s, seed, py * camera.size[0] + px), _1
         tile.axial[lane] = -(dx * camera.matrix[0, 2] + dy * camera.matrix[1, 2] + dz * camera.matrix[2, 2])
         tile.before[lane] = camera.clip[0]
     layer = 0
@@ -351,14 +371,21 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
             behind, mirroring = False, flags & MIRRORING
             if flags & TRANSPARENT:
                 cosine, behind = _view_cosine(
-                    vertices, triangle_vertices, corner_normals, flags, triangle, u, v, dx, dy, dz, glass[pixel, s], entered[pixel, s]
+                    vertices, triangle_vertices, corner_normals, flags, triangle, u, v, dx, dy, dz, kinds[pixel, s], entered[pixel, s]
                 )
                 evaluate(materials, material[triangle], attributes, triangle, u, v, cosine, rows, surface)
-                way, r, g, b, w = _way_on(surface, uniform(seed, number, s, 2 + layer), glass[pixel, s] < PANES)
+                if tile.choice[lane, 1] < FINEST:
+                    tile.choice[lane, 0], tile.choice[lane, 1] = uniform(seed, number, s, 2 + layer), _1
+                way, r, g, b, w, x, p = _way_on(
+                    surface, tile.choice[lane, 0], tile.parted[lane] == 0, glass[pixel, s] + tile.parted[lane] < PANES
+                )
+                if way == SHOWN | STRAIGHT:
+                    tile.parted[lane] = 1
+                tile.choice[lane, 0], tile.choice[lane, 1] = min(x, BELOW_ONE), p * tile.choice[lane, 1]
                 mirroring = way == SHOWN and behind and flags & REFRACTIVE  # what is reflected totally
-            if mirroring and glass[pixel, s] < PANES:
+            if mirroring and glass[pixel, s] + tile.parted[lane] < PANES:
                 mirrors, ox, oy, oz, dx, dy, dz, r, g, b = _reflected(
-                    materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, glass[pixel, s], entered[pixel, s],
+                    materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, kinds[pixel, s], entered[pixel, s],
                     uniform(seed, number, s, 100 + layer), uniform(seed, number, s, 200 + layer), rows, surface, tile.lobe,
                 )  # fmt: skip
                 r, g, b = w * r, w * g, w * b
@@ -449,7 +476,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
             behind = gx * dx + gy * dy + gz * dz > 0
             cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
-            view_cosine = _signed(materials.flags[material[triangle]], cosine, behind, glass[pixel, s], tile.entered[pixel, s])
+            view_cosine = _signed(materials.flags[material[triangle]], cosine, behind, tile.kinds[pixel, s], tile.entered[pixel, s])
             evaluate(materials, material[triangle], attributes, triangle, u, v, view_cosine, rows, surface)
             if materials.flags[material[triangle]] & NORMAL_MAPPED:
                 sx, sy, sz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]

@@ -4,8 +4,11 @@ import bpy
 import numpy as np
 import pytest
 
+from lumigate.addon.materials import MaterialUse, compile_materials
 from lumigate.core import scene
 from lumigate.core.surfaces import layout
+from lumigate.core.surfaces import program as ops
+from lumigate.core.surfaces.batch import evaluate_batch
 
 ANGLES = (0.0, 0.6, 1.1, 1.35)
 # One row of pixels that stays on the plane at every angle.
@@ -186,3 +189,65 @@ def test_light_path_tells_the_camera_from_reflected_light(grid, node):
     got = grid.compare()["it"]
     np.testing.assert_allclose(got.emission, got.passes["Emit"])
     np.testing.assert_allclose(grid.mean_surface("it")[layout.EMISSION], 10)
+
+
+def architectural(node, *outputs):
+    """Glass that is none to some rays: outputs of Light Path, of which the largest counts."""
+
+    def rays(tree):
+        path = tree.nodes.new("ShaderNodeLightPath")
+        largest = tree.nodes.new("ShaderNodeMath")
+        largest.operation = "MAXIMUM"
+        largest.inputs[1].default_value = 0
+        for socket, output in zip(largest.inputs, outputs):
+            tree.links.new(path.outputs[output], socket)
+        return largest.outputs[0]
+
+    through = _shader(node, "ShaderNodeBsdfTransparent", inputs={"Color": (0.8, 0.9, 1, 1)})
+    solid = _shader(node, "ShaderNodeBsdfGlass", inputs={"Roughness": 0.0})
+    return _surface(node, "ShaderNodeMixShader", inputs={0: rays, 1: solid, 2: through})
+
+
+@pytest.mark.parametrize("outputs", [("Is Shadow Ray",), ("Is Shadow Ray", "Is Diffuse Ray")])
+def test_architectural_glass_is_glass_to_the_view_alone(grid, node, outputs):
+    """Through its first side the camera sees its second, which is glass, too; lamps shine in as if it were not there."""
+    grid.add("it", architectural(node, *outputs))
+    tables = compile_materials([MaterialUse(grid.materials["it"][0])]).materials.tables
+    zeros, attributes = np.zeros(1, np.int32), np.zeros((1, 1, 3, 4), np.float32)
+    cosine = np.float32(0.8)
+    views = [ops.specular_view(cosine, kind) for kind in (scene.CAMERA, scene.GLOSSY, scene.TRANSMISSION)] + [ops.reflected_view(cosine)]
+    *seen, lit = (evaluate_batch(tables, zeros, attributes, zeros, zeros, zeros, np.array([v], np.float32))[0] for v in views)
+    for surface in seen:
+        assert 0.9 < surface[layout.REFRACTION] == surface[layout.TRANSPARENCY] < 0.97
+    np.testing.assert_allclose(lit[layout.TRANSPARENCY : layout.TRANSPARENCY + 3], (0.8, 0.9, 1), rtol=1e-6)
+    assert lit[layout.REFRACTION] == lit[layout.GLOSSY_F90] == 0
+
+
+def test_what_shades_otherwise_than_in_cycles_is_said(grid, node):
+    def varied(tree):
+        return node(tree, "ShaderNodeAttribute", attribute_name="Weight").outputs["Fac"]
+
+    told = {
+        "anisotropy": [
+            ("ShaderNodeBsdfPrincipled", {"Anisotropic": 0.5}),
+            ("ShaderNodeBsdfPrincipled", {"Anisotropic": varied}),
+            ("ShaderNodeBsdfAnisotropic", {"Anisotropy": -0.3}),
+            ("ShaderNodeBsdfMetallic", {"Anisotropy": 0.7}),
+        ],
+        "sheen": [
+            ("ShaderNodeBsdfPrincipled", {"Sheen Weight": 0.2}),
+            ("ShaderNodeBsdfPrincipled", {"Sheen Weight": varied}),
+            ("ShaderNodeBsdfSheen", {}),
+        ],
+    }
+    silent = [
+        ("ShaderNodeBsdfPrincipled", {"Sheen Weight": 0.05}),
+        ("ShaderNodeBsdfPrincipled", {}),
+        ("ShaderNodeBsdfAnisotropic", {}),
+        ("ShaderNodeBsdfMetallic", {}),
+    ]
+    for word, shaders in [*told.items(), ("", silent)]:
+        for i, (node_type, inputs) in enumerate(shaders):
+            grid.add(f"{word} {i}", _surface(node, node_type, inputs=inputs))
+            warnings = compile_materials([MaterialUse(grid.materials[f"{word} {i}"][0])]).warnings
+            assert [word in line for line in warnings] == [True] * bool(word), (word, node_type, inputs)

@@ -239,7 +239,7 @@ def test_reflected_views_have_the_albedo_of_the_cameras_view():
     camera = evaluate(tables, 4, cosine=cosine)
     others = evaluate(tables, 4, cosine=np.array([ops.reflected_view(c) for c in cosine], F))
     np.testing.assert_allclose(camera, others, atol=1e-6)
-    emits = tables_of([(ops.VIEWED, 0, 0), (ops.EMISSION_CLOSURE, 1, 0, R, R, R + 1, 0)], [(0,) * 4, (1,) * 4])
+    emits = tables_of([(ops.VIEWED, 0, sc.CAMERA), (ops.EMISSION_CLOSURE, 1, 0, R, R, R + 1, 0)], [(0,) * 4, (1,) * 4])
     views = np.array([0.5, -0.5, ops.reflected_view(F(0.5)), ops.reflected_view(F(-0.5)), ops.MEAN_VIEW], F)
     np.testing.assert_array_equal(evaluate(emits, 5, cosine=views)[:, layout.EMISSION], [1, 1, 0, 0, 0])
 
@@ -284,6 +284,31 @@ def test_glass_that_was_entered_and_thin_walls_reflect_alike_from_both_sides():
 
 
 def test_views_from_within_know_whose_they_are():
-    emits = tables_of([(ops.VIEWED, 0, 0), (ops.EMISSION_CLOSURE, 1, 0, R, R, R + 1, 0)], [(0,) * 4, (1,) * 4])
+    emits = tables_of([(ops.VIEWED, 0, sc.CAMERA), (ops.EMISSION_CLOSURE, 1, 0, R, R, R + 1, 0)], [(0,) * 4, (1,) * 4])
     views = np.array([ops.from_within(F(-0.5)), ops.from_within(F(-1)), ops.from_within(ops.reflected_view(F(-0.5)))], F)
     np.testing.assert_array_equal(evaluate(emits, 3, cosine=views)[:, layout.EMISSION], [1, 1, 0])
+
+
+@pytest.mark.parametrize("rays", [sc.CAMERA, sc.DIFFUSE, sc.GLOSSY, sc.TRANSMISSION, sc.SHADOW, sc.DIFFUSE | sc.GLOSSY])
+def test_views_know_the_ray_that_looks(rays):
+    emits = tables_of([(ops.VIEWED, 0, rays), (ops.EMISSION_CLOSURE, 1, 0, R, R, R + 1, 0)], [(0,) * 4, (1,) * 4])
+    for cosine in np.array([-1, -0.3, 0, 0.6, 1], F):
+        views = [ops.specular_view(cosine, kind) for kind in (sc.CAMERA, sc.GLOSSY, sc.TRANSMISSION)] + [ops.reflected_view(cosine)]
+        views += [ops.from_within(v) for v in views if v < 0]
+        met = [bool(rays & kind) for kind in (sc.CAMERA, sc.GLOSSY, sc.TRANSMISSION, sc.DIFFUSE | sc.SHADOW)]
+        met = (met + met)[: len(views)]
+        np.testing.assert_array_equal(evaluate(emits, len(views), cosine=np.array(views, F))[:, layout.EMISSION], met)
+
+
+def test_mirrors_and_glass_show_the_albedo_of_the_view():
+    cosine = np.array([-1, -0.3, 0.2, 0.9], F)
+    for tables in (principled((0.6, 0.3, 0.1), 0.4, 1.5, 0.5, coat=0.8), glass()):
+        camera = evaluate(tables, 4, cosine=cosine)
+        for kind in (sc.GLOSSY, sc.TRANSMISSION):
+            np.testing.assert_allclose(
+                evaluate(tables, 4, cosine=np.array([ops.specular_view(c, kind) for c in cosine], F)), camera, atol=2e-6
+            )
+    within = [
+        evaluate(glass(), 1, cosine=np.array([ops.from_within(ops.specular_view(F(-0.5), k))], F)) for k in (sc.CAMERA, sc.TRANSMISSION)
+    ]
+    np.testing.assert_array_equal(*within)

@@ -9,7 +9,7 @@ from lumigate.core import scene as sc
 from lumigate.core.lamps import world_tables
 from lumigate.core.picture import denoising_guides
 from lumigate.core.rays import RayScene
-from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, REFRACTION, TRANSPARENCY
+from lumigate.core.surfaces.layout import EMISSION, GLOSSY_F0, GLOSSY_F90, REFRACTION, TRANSPARENCY
 from lumigate.core.view.primary import view
 from lumigate.headless.stress.arrays import camera, geometry, materials, quads, scene
 
@@ -100,6 +100,46 @@ def test_a_veil_dims_what_lies_behind_and_keeps_its_own_share():
     unveiled = seen(replace(s, geometry=geometry(*quads(wall(-9)))), 64)
     assert seen(s, 64).emission.mean() == pytest.approx(unveiled.emission.mean(), rel=0.002)
     np.testing.assert_allclose(seen(s, 64).emission, unveiled.emission, atol=0.07)
+
+
+def test_the_first_veil_is_free_of_noise():
+    vertices, triangles = quads(wall(-9), wall(-3))
+    stuff = veiled(0.1)
+    stuff.tables.constant[0, EMISSION : EMISSION + 3] = 1
+    picture = seen(scene(geometry(vertices, triangles, np.repeat([0, 1], 2)), stuff), 4)
+    np.testing.assert_allclose(picture.emission, 0.1, rtol=1e-5)
+    np.testing.assert_allclose(picture.albedo, 0.1 * 0.5 + 0.45, rtol=1e-5)
+    np.testing.assert_allclose(shown(picture, picture.points.albedo), 0.5, rtol=1e-5)
+
+
+def test_further_veils_are_passed_by_even_shares_of_the_samples():
+    # Of a pixel's 16 samples, 4 pass the second veil and 1 the third as well, to within one; by chance .43 of the mean would be lost or won.
+    vertices, triangles = quads(wall(-9), wall(-3), wall(-4), wall(-5))
+    stuff = veiled(0.25)
+    stuff.tables.constant[0, EMISSION : EMISSION + 3] = 1
+    s = scene(geometry(vertices, triangles, np.repeat([0, 1, 1], (2, 4, 2))), stuff, camera=camera(width=64, height=64))
+    s.geometry.material[6:] = 0  # two veils before a wall
+    two = seen(s, 32).emission[..., 0]
+    assert two.mean() == pytest.approx(0.25**2, rel=0.01)
+    assert two.std() < 0.15 * two.mean()
+    s.geometry.material[6:] = 1
+    three = seen(s, 32).emission[..., 0]
+    assert three.mean() == pytest.approx(0.25**3, rel=0.03)
+    assert three.std() < 0.6 * three.mean()
+
+
+def test_glass_behind_a_veil_and_more_veils_behind_glass_are_right_in_the_mean():
+    vertices, triangles = quads(wall(-9), wall(-2), wall(-3), wall(-4), wall(-5), wall(-6))
+    stuff = materials((0.5, 1.0), (0.25, 0.0), (0.0, 0.0))
+    for m, (at, share) in enumerate(((TRANSPARENCY, 0.5), (REFRACTION, 0.8)), 1):
+        stuff.tables.flags[m] |= sc.TRANSPARENT
+        stuff.tables.constant[m, TRANSPARENCY : TRANSPARENCY + 3] = stuff.tables.constant[m, at : at + 3] = share
+    stuff.tables.constant[2, GLOSSY_F0 : GLOSSY_F0 + 3] = stuff.tables.constant[2, GLOSSY_F90 : GLOSSY_F90 + 3] = 0.2
+    picture = seen(scene(geometry(vertices, triangles, np.repeat([0, 1, 2, 2, 1, 2], 2)), stuff), 64)
+    assert picture.emission_behind_more.mean() == pytest.approx(0.5**2 * 0.8**3, rel=0.02)
+    reflected = 0.5 * (0.2 + 0.8 * 0.2) + 0.5**2 * 0.8**2 * 0.2
+    assert shown(picture, picture.points.f0).mean() == pytest.approx(reflected, rel=0.02)
+    assert picture.albedo.mean() == pytest.approx(0.25, rel=0.01)
 
 
 @pytest.mark.parametrize("orthographic", [False, True])

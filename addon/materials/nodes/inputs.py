@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ....core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
 from ....core.surfaces import program as ops
 from ..builder import ONE, ZERO, Constant, Value, scalar
 from ..registry import Unsupported, value
@@ -133,13 +134,47 @@ def layer_weight(node: NodeInput, output: str) -> Value:
     return node.emit(ops.FACING, node.emit(ops.MIX, node.math("LESS_THAN", blend, scalar(0.5)), high, low))
 
 
+_ANY = CAMERA | DIFFUSE | GLOSSY | TRANSMISSION | SHADOW
+# For which rays an output is 1.  Lengths and depths are those of the first bounce.
+_RAYS = {
+    "Is Camera Ray": CAMERA,
+    "Is Diffuse Ray": DIFFUSE,
+    "Is Glossy Ray": GLOSSY,
+    "Is Reflection Ray": GLOSSY,
+    "Is Singular Ray": GLOSSY | TRANSMISSION,
+    "Is Transmission Ray": TRANSMISSION,
+    "Ray Length": _ANY,
+    "Ray Depth": _ANY & ~CAMERA,
+    "Diffuse Depth": DIFFUSE,
+    "Glossy Depth": GLOSSY,
+    "Transmission Depth": TRANSMISSION,
+}
+
+
 @value("ShaderNodeLightPath")
 def light_path(node: NodeInput, output: str) -> Value:
-    """Light Path, which tells camera rays from light that is reflected on, and no more."""
-    node.warn(f"Light Path ('{output}') knows camera rays and diffuse ones only")
-    viewed = node.emit(ops.VIEWED)
-    if output == "Is Camera Ray":
-        return viewed
-    if output in ("Is Diffuse Ray", "Ray Depth", "Diffuse Depth"):
-        return node.complement(viewed)
-    return ONE if output == "Ray Length" else ZERO
+    """Light Path, which tells the rays that the camera's view takes by mirrors and through glass; all light that is reflected on is diffuse."""
+    rays = _RAYS.get(output, 0)
+    if output == "Is Shadow Ray" and _has_glass(node.context.material.node_tree):
+        # Glass that is none to shadow rays lets lamps' light through as if nothing were there, which is what it is built for.
+        node.warn("Light Path ('Is Shadow Ray') counts for diffuse rays, too")
+        rays = SHADOW
+    elif output != "Is Camera Ray":
+        node.warn(
+            f"Light Path ('{output}') knows what the camera sees, its mirrors and glass show, and takes all other rays for diffuse ones"
+        )
+    return node.emit(ops.VIEWED, p=rays) if rays not in (0, _ANY) else ONE if rays else ZERO
+
+
+def _has_glass(tree) -> bool:
+    """Whether a tree of a material, or a group in it, has shaders of glass."""
+    for node in tree.nodes:
+        if node.bl_idname in ("ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction"):
+            return True
+        if node.bl_idname == "ShaderNodeBsdfPrincipled":
+            transmission = node.inputs["Transmission Weight"]
+            if transmission.is_linked or transmission.default_value > 0:
+                return True
+        if node.type == "GROUP" and node.node_tree is not None and _has_glass(node.node_tree):
+            return True
+    return False

@@ -8,6 +8,8 @@ from ..registry import closure
 from ..requests import WORLD_NORMAL
 from ..tree import NodeInput
 
+_FAINT = 0.1  # weight of a sheen, up to which the shape of its lobe hardly shows
+
 
 def _is(value: Value, number: float) -> bool:
     """Whether a value is known to be this number."""
@@ -31,6 +33,15 @@ def _warn_straight(node: NodeInput, what: str) -> None:
     node.warn(f"{what} is treated as straight through, without refraction{blur}")
 
 
+def _warn_anisotropy(node: NodeInput, key: str) -> None:
+    if node.has(key) and not _is(node[key], 0):
+        node.warn("anisotropy is left out: highlights and reflections are round")
+
+
+def _warn_sheen(node: NodeInput) -> None:
+    node.warn("sheen keeps its albedo, and scatters light as a diffuse surface does")
+
+
 @closure("ShaderNodeBsdfPrincipled")
 def principled(node: NodeInput, weight: Value) -> None:
     """Principled BSDF v2: alpha, sheen, coat, emission, metal, transmission, dielectric over diffuse."""
@@ -45,8 +56,11 @@ def principled(node: NodeInput, weight: Value) -> None:
     base, roughness, ior = node["Base Color"], node["Roughness"], node["IOR"]
     sheen = node["Sheen Weight"]
     if not _is(sheen, 0):
+        if not isinstance(sheen, Constant) or sheen.x > _FAINT:
+            _warn_sheen(node)
         lobe = node.pack(sheen, node["Sheen Roughness"])
         weight = node.emit(ops.SHEEN_CLOSURE, lobe, node["Sheen Tint"], ZERO, weight)
+    _warn_anisotropy(node, "Anisotropic")
     coat = node["Coat Weight"]
     if not _is(coat, 0):
         lobe = node.pack(coat, node["Coat Roughness"], node["Coat IOR"])
@@ -109,6 +123,7 @@ def sheen(node: NodeInput, weight: Value) -> None:
     _normal(node)
     if node.node.distribution != "MICROFIBER":
         node.warn("an Ashikhmin sheen is treated as a microfibre sheen")
+    _warn_sheen(node)
     node.emit(ops.SHEEN_CLOSURE, node.pack(ONE, node["Roughness"]), node["Color"], ZERO, weight)
 
 
@@ -127,6 +142,7 @@ def toon(node: NodeInput, weight: Value) -> None:
 def glossy(node: NodeInput, weight: Value) -> None:
     """Glossy BSDF."""
     _normal(node)
+    _warn_anisotropy(node, "Anisotropy")
     node.emit(ops.GLOSSY_CLOSURE, node["Color"], node["Roughness"], ZERO, weight, p=_multiple(node))
 
 
@@ -134,6 +150,7 @@ def glossy(node: NodeInput, weight: Value) -> None:
 def metallic(node: NodeInput, weight: Value) -> None:
     """Metallic BSDF: by base colour and edge tint (F82), or by the conductor's n and k."""
     _normal(node)
+    _warn_anisotropy(node, "Anisotropy")
     base, edge = node["Base Color"], node["Edge Tint"]
     if node.node.fresnel_type == "PHYSICAL_CONDUCTOR":
         n, k = node["IOR"], node["Extinction"]
