@@ -69,6 +69,7 @@ SHARPEST = np.float32(8.0)
 # Times 1 / roughness^4: the sharpness of a light that shines about as widely as the lobe that its direction was drawn from.
 _AS_WIDE = np.float32(0.25)
 _NESTED = 4  # fronts of glass, each within the last, that a particle owes for
+_MET = 0.2  # of what passes an angled surface, at least, tries what that keeps
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -270,7 +271,10 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         if not reverse:
                             tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
                         chance = max(tr, tg, tb)
-                        chance = chance / (chance + largest_kept(surface)) if chance > _0 else _0
+                        ends = largest_kept(surface)
+                        if angled:  # other views may see more kept
+                            ends = max(ends, np.float32(_MET) * chance)
+                        chance = chance / (chance + ends) if chance > _0 else _0
                         i = base + lane
                         if uniform(seed, i, bounce, 16 + passed) < chance:
                             flux[lane, 0] *= tr / chance

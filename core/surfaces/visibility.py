@@ -169,10 +169,11 @@ def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach,
             return -1, _0, _0, reach, r, g, b, clear, entered
         _, _, _, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
         within = entered if behind else OUTSIDE
-        if not scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
+        flags = scene.materials.flags[scene.material[triangle]]
+        if not flags & TRANSPARENT:
             return triangle, u, v, t, r, g, b, clear, within
         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
-        chance = passing_chance(surface)
+        chance = passing_chance(surface, flags & ANGLED != 0)
         if uniform(seed, path, dimension, layer) >= chance:
             rest = _1 / (_1 - chance)
             return triangle, u, v, t, r * rest, g * rest, b * rest, clear, within
