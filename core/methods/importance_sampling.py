@@ -49,7 +49,7 @@ from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
-from ..surfaces.visibility import OUTSIDE, evaluate_along, nearest_surface, transmittance1
+from ..surfaces.visibility import OUTSIDE, encloses, evaluate_along, nearest_surface, transmittance1
 from ..threads import Progress, part, run_chunks
 from ..transport import Transport, is_translucent
 from ..view.points import ShadingPoints, is_transmitting, shares
@@ -239,6 +239,8 @@ def _gathered(
             rest = max(_1 - cache.later * share, np.float32(1e-6))
             wr, wg, wb = wr * rest, wg * rest, wb * rest
             own, sheen = (_1 - share) / rest, (_1 - cache.trust[cell] * clamped) / rest
+        if veiled and encloses(scene.materials.flags[scene.material[triangle]], behind):
+            sheen = _0
         if not veiled:
             evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)

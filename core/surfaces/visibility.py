@@ -72,6 +72,16 @@ def evaluate_from(scene, triangle, u, v, behind, x, rows, surface):
 
 
 @inlined
+def encloses(flags, behind):
+    """Whether a surface is the inner side of a pane that reflects by the angle: what lamps send in there is not what it mirrors to a view.
+
+    `tails` spreads the lamps' light that a mirror reflects as if it were dull; beyond the critical angle, where all is reflected and nothing
+    comes in, a pane would shine by that.
+    """
+    return behind and flags & (ANGLED | TRANSPARENT | REFRACTIVE) == ANGLED | TRANSPARENT
+
+
+@inlined
 def passed_glass(entered, behind):
     """`entered` after one more surface of glass."""
     return max(entered - 1, OUTSIDE) if behind else entered + 1
