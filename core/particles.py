@@ -37,7 +37,7 @@ from .rays.trace import ALL, intersect_packet
 from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
-from .scene import DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SHADOW, TRANSLUCENT, TRANSPARENT
+from .scene import ANGLED, DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SHADOW, TRANSLUCENT, TRANSPARENT
 from .surfaces.bumps import shadowing
 from .surfaces.layout import (
     GLOSSY_F0,
@@ -55,7 +55,7 @@ from .surfaces.layout import (
 from .surfaces.lobes import ALPHA, LOBE, NORMAL, VIEWER, sample_lobe, set_lobe
 from .surfaces.normals import mapped_normal, shading_normal, surface_side
 from .surfaces.program import new_registers
-from .surfaces.visibility import OUTSIDE, evaluate_along, passed_glass
+from .surfaces.visibility import OUTSIDE, evaluate_along, evaluate_from, passed_glass
 from .threads import Progress, run_chunks
 from .transport import Transport
 
@@ -69,6 +69,7 @@ SHARPEST = np.float32(8.0)
 # Times 1 / roughness^4: the sharpness of a light that shines about as widely as the lobe that its direction was drawn from.
 _AS_WIDE = np.float32(0.25)
 _NESTED = 4  # fronts of glass, each within the last, that a particle owes for
+_MET = 0.2  # of what passes an angled surface, at least, tries what that keeps
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -258,7 +259,9 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
                     behind = gx * dx + gy * dy + gz * dz > 0
                     flags = scene.materials.flags[scene.material[triangle]]
-                    reverse = flags & REFRACTIVE and behind and entered[lane] == OUTSIDE
+                    angled = flags & (ANGLED | REFRACTIVE) == ANGLED
+                    # What comes through is seen from the other end.
+                    reverse = angled or (flags & REFRACTIVE and behind and entered[lane] == OUTSIDE)
                     if reverse:
                         evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
                         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
@@ -268,7 +271,10 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         if not reverse:
                             tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
                         chance = max(tr, tg, tb)
-                        chance = chance / (chance + largest_kept(surface)) if chance > _0 else _0
+                        ends = largest_kept(surface)
+                        if angled:  # other views may see more kept
+                            ends = max(ends, np.float32(_MET) * chance)
+                        chance = chance / (chance + ends) if chance > _0 else _0
                         i = base + lane
                         if uniform(seed, i, bounce, 16 + passed) < chance:
                             flux[lane, 0] *= tr / chance
@@ -318,9 +324,15 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         u1, u2 = sobol(i, d, seed), sobol(i, d + 1, seed)
                     else:
                         u1, u2 = uniform(seed, i, bounce, 0), uniform(seed, i, bounce, 1)
-                    dr, dg, db = diffuse_albedo_average(surface)
                     fr, fg, fb = glossy_albedo(surface, min(_1, abs(cos_s)))
+                    if angled:
+                        evaluate_from(scene, triangle, u, v, behind, uniform(seed, i, bounce, 4), rows, surface)
+                    dr, dg, db = diffuse_albedo_average(surface)
+                    if angled and flags & TRANSLUCENT:
+                        evaluate_from(scene, triangle, u, v, not behind, uniform(seed, i, bounce, 5), rows, surface)
                     tr, tg, tb = translucency_average(surface)
+                    if angled:  # glossy light leaves at the angle at which it came
+                        evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
                     through_sum = tr + tg + tb
                     total = dr + dg + db + fr + fg + fb + through_sum
                     albedo_sum += total / 3.0

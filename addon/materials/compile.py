@@ -22,6 +22,7 @@ _DEFAULT_GREY = Constant(0.8, 0.8, 0.8)
 _GLOSSY = {ops.GLOSSY_CLOSURE, ops.METAL_CLOSURE, ops.GLASS_CLOSURE, ops.DIELECTRIC_CLOSURE, ops.COAT_CLOSURE}
 _REFRACTIVE = {ops.REFRACTION_CLOSURE, ops.GLASS_CLOSURE}
 _TRANSPARENT = {ops.TRANSPARENT_CLOSURE, *_REFRACTIVE}
+_ANGLED = {ops.FRESNEL, ops.FACING, ops.BACKFACING}
 
 
 def compile_materials(uses: Sequence[MaterialUse], *, may_bake: bool = True) -> CompiledMaterials:
@@ -102,6 +103,7 @@ def _link(programs: list[Program], names: list[str], textures: TexturePool, warn
                 | scene.REFRACTIVE * bool(operations & _REFRACTIVE)
                 | scene.GLOSSY_LOBE * bool(operations & _GLOSSY)
                 | scene.TRANSLUCENT * (ops.TRANSLUCENT_CLOSURE in operations)
+                | scene.ANGLED * bool(operations & _ANGLED)
             )
         flags[m] |= scene.NORMAL_MAPPED * (ops.NORMAL_MAP in operations)
     header, texels_u8, texels_f32 = textures.tables()

@@ -48,8 +48,8 @@ from ..scene import DIFFUSE, EMISSIVE, TRANSPARENT
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
-from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
-from ..surfaces.visibility import OUTSIDE, nearest_surface, transmittance1
+from ..surfaces.program import new_registers
+from ..surfaces.visibility import OUTSIDE, encloses, evaluate_along, nearest_surface, transmittance1
 from ..threads import Progress, part, run_chunks
 from ..transport import Transport, is_translucent
 from ..view.points import ShadingPoints, is_transmitting, shares
@@ -208,7 +208,8 @@ def _gathered(
         wr = wg = wb = _1 / np.float32(counts[k])
         tr = tg = tb = _1
         entered = OUTSIDE
-        if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
+        veiled = scene.materials.flags[scene.material[triangle]] & TRANSPARENT != 0
+        if veiled:
             met[k, turn[lane] - first] = VEILED
             ox, oy, oz = offset_origin(
                 points.position[k, 0], points.position[k, 1], points.position[k, 2],
@@ -257,7 +258,10 @@ def _gathered(
             rest = max(_1 - cache.later * share, np.float32(1e-6))
             wr, wg, wb = wr * rest, wg * rest, wb * rest
             own, sheen = (_1 - share) / rest, (_1 - cache.trust[cell] * clamped) / rest
-        evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface)
+        if veiled and encloses(scene.materials.flags[scene.material[triangle]], behind):
+            sheen = _0
+        if not veiled:
+            evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
         sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
         if sx * gx + sy * gy + sz * gz < 0:

@@ -20,8 +20,8 @@ from ..scene import DIFFUSE, TRANSPARENT
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import LOBE
 from ..surfaces.normals import mapped_normal, shading_normal
-from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
-from ..surfaces.visibility import OUTSIDE, nearest_surface, shadow_packet
+from ..surfaces.program import new_registers
+from ..surfaces.visibility import OUTSIDE, evaluate_along, nearest_surface, shadow_packet
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
@@ -168,9 +168,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                     if triangle < 0:
                         continue
                 else:
-                    evaluate(
-                        scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, np.float32(MEAN_VIEW), rows, surface
-                    )
+                    evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
                 x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
                 sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                 sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)

@@ -18,7 +18,7 @@ from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import LOBE
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
-from ..surfaces.visibility import OUTSIDE, nearest_surface
+from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
@@ -33,6 +33,7 @@ FARTHEST = 8  # probes of a path that is followed on
 FEWER, MOST_TURNS = 1 / 16, 32  # of all paths are followed on at most, and each so many times
 IMPORTANT = 0.1  # of the direct light that all probes tell: where those beyond tell so much, all turns are worth it
 LAMP_RAYS = 4  # shadow rays of a probe: what is stored serves many
+_0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
 
@@ -90,9 +91,10 @@ def _probe_path(
         probes.side[probe] = side
         probes.position[probe, 0], probes.position[probe, 1], probes.position[probe, 2] = x, y, z
         probes.normal[probe, 0], probes.normal[probe, 1], probes.normal[probe, 2] = gx, gy, gz
+        mirrored = _0 if encloses(scene.materials.flags[scene.material[triangle]], behind) else _1
         tx, ty, tz, r, g, b, kinds = scatter_light(
             scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered, LAMP_RAYS, True, seed, path, at,
-            probes.direct, probes.shine, probe, _1, _1, _1, _1,
+            probes.direct, probes.shine, probe, _1, _1, _1, mirrored,
         )  # fmt: skip
         rays += LAMP_RAYS
         probes.carry[probe, 0], probes.carry[probe, 1], probes.carry[probe, 2] = r, g, b

@@ -28,7 +28,7 @@ from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TILT, W
 from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, sample_lobe, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
-from ..surfaces.visibility import OUTSIDE, nearest_surface
+from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
 from ..threads import run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints, is_transmitting
@@ -141,10 +141,11 @@ def path_light(
     """
     wr = wg = wb = _1
     left = bounces - 1
+    mirrored = _1
     for vertex in range(bounces + _MORE_SURFACES):
         at = vertex * DIMENSIONS
         first = own if vertex == 0 else _1
-        shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else _1
+        shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
         dx, dy, dz, tr, tg, tb, kinds = scatter_light(
             scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, 1, left > 0, seed, path, at,
             out, out, i, first * kr * wr, first * kg * wg, first * kb * wb, shine,
@@ -174,6 +175,7 @@ def path_light(
         behind = gx * dx + gy * dy + gz * dz > 0
         if behind:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+        mirrored = _0 if encloses(scene.materials.flags[scene.material[triangle]], behind) else _1
         if t > near and left < len(cache.radiosity):
             cell = find_cell(
                 cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, at, 60), uniform(seed, path, at, 61)

@@ -103,17 +103,19 @@ def glossy_albedo(surface, cosine):
 
 
 @inlined
-def passing_chance(surface):
+def passing_chance(surface, angled):
     """With what probability a path that samples one of both had better go straight through a surface than end there.
 
     Any other than 0 is right with the weights transparency / chance and 1 / (1 - chance); this one lets tinted glass,
     which keeps nothing that could be seen, pass always.  Other glass is met as often as passed: were the few paths that it keeps given
-    large weights, the cache, which knows means alone, would carry too much.
+    large weights, the cache, which knows means alone, would carry too much.  So are `angled` surfaces, of which it would else know those
+    views alone that see much kept.
     """
     through = max(surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2])
     kept = largest_kept(surface)
     if kept > F(0):
         kept = max(kept, surface[REFRACTION], surface[REFRACTION + 1], surface[REFRACTION + 2])
+        kept = max(kept, through) if angled else kept
     return through / (through + kept) if through > F(0) else F(0)
 
 

@@ -22,7 +22,7 @@ from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TILT, TRANSPARENCY
 F = np.float32
 
 REGISTERS = 64
-# A view cosine above 1 asks for the mean over the views from the front.
+# A view cosine above 1 asks for the mean over the views from the front, below -1 from the back.
 MEAN_VIEW = 2.0
 
 # Operations.  "rgb" are x, y, z of a row; p is the instruction's last integer.
@@ -129,8 +129,8 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
 
     tables: MaterialTables.  attributes: (K, T, 3, 4).  (u, v): barycentric, weights of corners 1 and 2.
     cosine: of the camera's view with the shading normal, below 0 where the back of the triangle is seen;
-        `specular_view` of it by way of mirrors and glass, `reflected_view` for any other view; MEAN_VIEW for the mean over those;
-        see also `from_within`.
+        `specular_view` of it by way of mirrors and glass, `reflected_view` for any other view; MEAN_VIEW for the mean over those of the
+        front, -MEAN_VIEW of the back; see also `from_within`.
     rows: from `new_registers`.
     """
     if tables.flags[material] & CONSTANT:

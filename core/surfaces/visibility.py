@@ -3,6 +3,9 @@
 Glass is the surface of a solid, as in Cycles: a ray that meets its back without having entered a front began within the solid, and may be
 reflected totally.  Sheets without thickness are such surfaces, and water, and what lies inside of panes is in them.  `entered` counts the
 fronts that a ray has passed since its path was last scattered, less the backs.
+
+Materials whose nodes ask for the side or the angle of the view are seen by each ray as it meets them, as in Cycles, where a ray goes from
+the eye's side to the light's.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from ..jit import inlined, kernel, leaf
 from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_FAR, T_NEAR, WIDTH
 from ..rays.trace import ALL, COHERENT, CUTOUT, OPAQUE, intersect1, occluded_packet
 from ..sampling.hashing import uniform
-from ..scene import REFRACTIVE, TRANSPARENT
+from ..scene import ANGLED, REFRACTIVE, TRANSPARENT
 from .layout import REFRACTION, TRANSPARENCY, passing_chance
 from .normals import sees_back, shading_normal
 from .program import MEAN_VIEW, evaluate, from_within, reflected_view
@@ -29,17 +32,19 @@ OUTSIDE = np.int64(0)  # solids that a path has entered which was scattered just
 
 @inlined
 def _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface):
-    """`evaluate_along`, which also returns the shading normal (unit; 0 where it is no glass) and whether the back of glass is seen."""
+    """`evaluate_along`, which also returns the shading normal (unit; 0 where the view does not matter) and whether the back of glass is seen."""
     material = scene.material[triangle]
+    flags = scene.materials.flags[material]
     cosine = np.float32(MEAN_VIEW)
     nx = ny = nz = _0
     behind = False
-    if scene.materials.flags[material] & REFRACTIVE:
+    if flags & (REFRACTIVE | ANGLED):
         nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, _0, _0, _0)
         length = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz))
         cosine = min(_1, abs(nx * dx + ny * dy + nz * dz) / length)
         behind = sees_back(scene.vertices, scene.triangles, triangle, dx, dy, dz)
         cosine = reflected_view(-cosine if behind else cosine)
+        behind = behind and flags & REFRACTIVE != 0
         if behind and entered == 0:
             cosine = from_within(cosine)
     evaluate(scene.materials, material, scene.attributes, triangle, u, v, cosine, rows, surface)
@@ -48,11 +53,32 @@ def _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface):
 
 @leaf
 def evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface):
-    """The surface that a ray meets, into `surface`: what glass lets through depends on the angle, all else is the mean over the views.
+    """The surface that a ray meets, into `surface`: glass and ANGLED materials at the ray's angle, all others as the mean over the views.
 
     entered: how many solids of glass the ray has entered.
     """
     _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
+
+
+@leaf
+def evaluate_from(scene, triangle, u, v, behind, x, rows, surface):
+    """An ANGLED surface, into `surface`, as a view of its front or its back sees it that x, uniform in [0, 1), draws by the cosine.
+
+    Light that is scattered diffusely leaves by such angles: the mean of what it carries is right, whatever the nodes make of the angle.
+    """
+    cosine = np.float32(math.sqrt(x))
+    view = reflected_view(-cosine if behind else cosine)
+    evaluate(scene.materials, scene.material[triangle], scene.attributes, triangle, u, v, view, rows, surface)
+
+
+@inlined
+def encloses(flags, behind):
+    """Whether a surface is the inner side of a pane that reflects by the angle: what lamps send in there is not what it mirrors to a view.
+
+    `tails` spreads the lamps' light that a mirror reflects as if it were dull; beyond the critical angle, where all is reflected and nothing
+    comes in, a pane would shine by that.
+    """
+    return behind and flags & (ANGLED | TRANSPARENT | REFRACTIVE) == ANGLED | TRANSPARENT
 
 
 @inlined
@@ -153,10 +179,11 @@ def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach,
             return -1, _0, _0, reach, r, g, b, clear, entered
         _, _, _, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
         within = entered if behind else OUTSIDE
-        if not scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
+        flags = scene.materials.flags[scene.material[triangle]]
+        if not flags & TRANSPARENT:
             return triangle, u, v, t, r, g, b, clear, within
         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
-        chance = passing_chance(surface)
+        chance = passing_chance(surface, flags & ANGLED != 0)
         if uniform(seed, path, dimension, layer) >= chance:
             rest = _1 / (_1 - chance)
             return triangle, u, v, t, r * rest, g * rest, b * rest, clear, within

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel
-from ..scene import CONSTANT, GLOSSY_LOBE, MIRRORING, TRANSPARENT, Geometry, MaterialTables, Scene
+from ..scene import ANGLED, CONSTANT, GLOSSY_LOBE, MIRRORING, TRANSPARENT, Geometry, MaterialTables, Scene
 from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE
 from ..surfaces.lobes import NEGLIGIBLE
 from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
@@ -33,8 +33,10 @@ def _look(materials, attributes, material, step, found):
         if step[m] == 0 or found[m]:
             continue
         if seen[m] % step[m] == 0:
-            evaluate(materials, m, attributes, triangle, third, third, np.float32(MEAN_VIEW), rows, surface)
-            found[m] = _is_polished(surface)
+            for view in (np.float32(MEAN_VIEW), np.float32(-MEAN_VIEW)):
+                if view > np.float32(0) or (materials.flags[m] & ANGLED and not found[m]):
+                    evaluate(materials, m, attributes, triangle, third, third, view, rows, surface)
+                    found[m] = _is_polished(surface)
         seen[m] += 1
 
 

@@ -106,6 +106,26 @@ def test_a_translucent_shader_sends_light_of_its_other_side_alone(grid, node):
     assert grid.warnings == []
 
 
+def test_materials_know_whether_their_nodes_ask_for_the_view(grid, node):
+    red = _shader(node, "ShaderNodeBsdfDiffuse", inputs={"Color": (0.9, 0.1, 0.1, 1)})
+
+    def factor(node_type, output):
+        return lambda tree: node(tree, node_type).outputs[output]
+
+    asked = {
+        "fresnel": ("ShaderNodeFresnel", 0),
+        "weight": ("ShaderNodeLayerWeight", "Fresnel"),
+        "facing": ("ShaderNodeLayerWeight", "Facing"),
+        "side": ("ShaderNodeNewGeometry", "Backfacing"),
+        "place": ("ShaderNodeNewGeometry", "Position"),
+    }
+    for name, (node_type, output) in asked.items():
+        grid.add(name, _surface(node, "ShaderNodeMixShader", inputs={0: factor(node_type, output), 1: red}))
+    grid.add("coat", _surface(node, "ShaderNodeBsdfPrincipled", inputs={"Coat Weight": 0.5}))
+    grid.compare()
+    assert [bool(flags & scene.ANGLED) for flags in grid.flags] == [True, True, True, True, False, False]
+
+
 @pytest.mark.skipif(bpy.app.version < (5, 2), reason="Blender 5.2 has thin walls")
 @pytest.mark.parametrize(("weight", "anisotropy"), [(1.0, 0.0), (0.5, 0.0), (1.0, 0.5), (0.7, -1.0)])
 def test_a_thin_wall_lets_through_what_would_scatter_below_it(grid, node, weight, anisotropy):

@@ -1,0 +1,107 @@
+"""Materials whose nodes ask for the side or the angle of a view: each ray sees them as it meets them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from lumigate.core import scene as sc
+from lumigate.core.lamps import build_emitters
+from lumigate.core.particles import trace_particles
+from lumigate.core.rays import RayScene
+from lumigate.core.surfaces import layout
+from lumigate.core.surfaces import program as ops
+from lumigate.core.surfaces.visibility import OUTSIDE, evaluate_along
+from lumigate.core.transport import transport
+from lumigate.core.view.mirrors import with_mirrors
+
+F = np.float32
+R = ops.REGISTERS
+SHEET = [(-4, -4, 0), (4, -4, 0), (4, 4, 0), (-4, 4, 0)]
+IOR = 1.45
+SIDED = [(ops.BACKFACING, 0, R, R, R, R, R, 0)]
+FRESNEL = [(ops.FRESNEL, 0, R + 2, R, R, R, R, 0)]
+FACING = [(ops.FACING, 0, R + 1, R, R, R, R, 0)]
+
+
+def angled(build, instructions, closure, flags):
+    """A material of one closure, whose colour is row 0."""
+    code = [[ops.END, *[0] * 7], *map(list, instructions), [closure, 1, 0, R + 3, R, R + 1, R, 0], [ops.END, *[0] * 7]]
+    stuff = build.materials((0.0, 0.0))
+    stuff.tables.start[0], stuff.tables.flags[0] = 1, sc.ANGLED | flags
+    constants = np.array([[0, 0, 0, 1], [1, 1, 1, 1], [IOR, IOR, IOR, 1], [0.05, 0.05, 0.05, 1]], F)
+    return sc.Materials(stuff.names, stuff.tables._replace(code=np.array(code, np.int32), constants=constants))
+
+
+def scene_of(build, materials, lamp=None):
+    return build.scene(build.geometry(*build.quads(SHEET)), materials, lamps=lamp)
+
+
+def fresnel(cosine, ior):
+    """Fresnel's equations, of light that comes from outside of `ior`."""
+    sine = np.sqrt(1 - cosine * cosine) / ior
+    beyond = np.sqrt(np.maximum(0, 1 - sine * sine))
+    across, along = (cosine - ior * beyond) / (cosine + ior * beyond), (beyond - ior * cosine) / (beyond + ior * cosine)
+    return np.where(sine >= 1, 1.0, 0.5 * (across * across + along * along))
+
+
+EXPECTED = {
+    "sided": (SIDED, lambda down, cosine: 0.0 if down else 1.0),
+    "fresnel": (FRESNEL, lambda down, cosine: fresnel(np.float64(cosine), IOR if down else 1 / IOR)),
+    "facing": (FACING, lambda down, cosine: 1 - cosine),
+}
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+@pytest.mark.parametrize("cosine", [0.2, 0.6, 0.9])
+@pytest.mark.parametrize("down", [True, False])
+def test_each_ray_sees_its_side_and_angle(build, name, cosine, down):
+    instructions, expected = EXPECTED[name]
+    scene = scene_of(build, angled(build, instructions, ops.TRANSPARENT_CLOSURE, sc.TRANSPARENT))
+    rows, surface = ops.new_registers(scene.materials.tables), np.zeros(layout.SURFACE, F)
+    d = 3.0 * np.array([math.sqrt(1 - cosine**2), 0, -cosine if down else cosine])  # of any length
+    with RayScene(scene.geometry.vertices, scene.geometry.triangles) as rays:
+        tables = transport(scene.geometry, scene.materials.tables, rays.tables, build_emitters(scene))
+        evaluate_along(tables, np.int32(0), F(0.2), F(0.3), *map(F, d), OUTSIDE, rows, surface)
+    np.testing.assert_allclose(surface[layout.TRANSPARENCY : layout.TRANSPARENCY + 3], expected(down, cosine), atol=1e-4)
+
+
+@pytest.mark.parametrize("lamp_above", [True, False])
+def test_particles_pass_what_is_seen_through_from_the_other_end(build, lamp_above):
+    """The sheet's back is clear, its front is not, and a floor lies on either side."""
+    materials = angled(build, SIDED, ops.TRANSPARENT_CLOSURE, sc.TRANSPARENT)
+    white = build.materials((0.0, 0.0), (0.8, 0.0)).tables
+    tables = materials.tables._replace(
+        start=np.array([1, 0], np.int32), flags=np.array([materials.tables.flags[0], sc.CONSTANT], np.int32), constant=white.constant
+    )
+    height = -1 if lamp_above else 1
+    floor = [(20 * x, 20 * y, height) for x, y, _ in SHEET]
+    geometry = build.geometry(*build.quads(SHEET, floor), material=np.array([0, 0, 1, 1], np.int32))
+    lamp = build.lamp(sc.POINT, 1.0, position=(0, 0, -0.1 * height))
+    scene = build.scene(geometry, sc.Materials(["sheet", "floor"], tables), lamps=lamp)
+    with RayScene(geometry.vertices, geometry.triangles, transparent=geometry.material == 0) as rays:
+        vpls, _ = trace_particles(transport(geometry, tables, rays.tables, build_emitters(scene)), 2000, 1, seed=1, threads=1)
+    # A point on the lower floor looks up at the sheet's back; one on the upper floor looks down at its front.
+    assert (len(vpls.flux) > 500) == lamp_above
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+@pytest.mark.parametrize("down", [True, False])
+def test_lights_have_the_mean_of_what_their_side_sends(build, name, down):
+    instructions, expected = EXPECTED[name]
+    materials = angled(build, instructions, ops.DIFFUSE_CLOSURE, 0)
+    lamp = build.lamp(sc.POINT, 1.0, position=(0, 0, 1e-2 if down else -1e-2))
+    scene = scene_of(build, materials, lamp)
+    with RayScene(scene.geometry.vertices, scene.geometry.triangles) as rays:
+        tables = transport(scene.geometry, materials.tables, rays.tables, build_emitters(scene))
+        vpls, _ = trace_particles(tables, 20_000, 1, seed=1, threads=1)
+    cosine = np.sqrt((np.arange(10_000) + 0.5) / 10_000)
+    mean = np.mean([expected(down, c) for c in cosine])
+    sent = build_emitters(scene).flux[0, 0] / 2  # half of it meets the sheet
+    assert vpls.flux[:, 0].sum(dtype=float) == pytest.approx(mean * sent, rel=0.02, abs=1e-6)
+
+
+def test_a_material_that_mirrors_on_its_back_alone_is_asked(build):
+    materials = angled(build, SIDED, ops.GLOSSY_CLOSURE, sc.GLOSSY_LOBE)
+    scene = scene_of(build, materials)
+    assert (with_mirrors(materials.tables, scene.geometry).flags & sc.MIRRORING).all()
