@@ -72,6 +72,8 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
             continue
         visibility = instance_visibility(instance, view_layer)
         matrix = np.array(instance.matrix_world, np.float64)
+        if light.type == "POINT" and not np.linalg.norm(matrix[:3, :3], axis=0).all():
+            matrix[:3, :3] = np.eye(3)  # only its place matters
         if not np.isfinite(matrix).all() or not np.linalg.norm(matrix[:3, :3], axis=0).all():
             found.skip(ob.name, "has a scale of zero or an invalid position: reset its transform")
             continue

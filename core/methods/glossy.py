@@ -39,7 +39,7 @@ from ..surfaces.layout import (
 )
 from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, reflection_count, sample_lobe
 from ..surfaces.normals import shading_normal, surface_side
-from ..surfaces.program import evaluate, from_within, new_registers, reflected_view
+from ..surfaces.program import evaluate, from_within, new_registers, specular_view
 from ..surfaces.visibility import OUTSIDE, nearest_surface
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
@@ -174,7 +174,7 @@ def _reflect_chunk(
             cosine = min(_1, abs(nx * dx + ny * dy + nz * dz))
             narrow = surface[ROUGHNESS] < NARROW and max(surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]) > NEGLIGIBLE
             if (narrow or flags & EMISSIVE) and not flags & CONSTANT:  # it may depend on the view
-                view = reflected_view(-cosine if behind else cosine)
+                view = specular_view(-cosine if behind else cosine, GLOSSY)
                 if flags & REFRACTIVE and behind and inside == OUTSIDE:
                     view = from_within(view)
                 evaluate(scene.materials, material, scene.attributes, triangle, u, v, view, rows, surface)

@@ -506,7 +506,7 @@ class ImportanceSampling:
         if tracer is trace_probes:
             others, found = trace_farther(scene, points, first, seed, self.threads, part(progress, 0.58, 0.6))
             probes, rays = Probes.concatenate([probes, others]), rays + found
-        self.relied = FEW_TELL**2 / (FEW_TELL**2 + _telling(probes.direct) ** 2) if focus else 0.0
+        self.relied = FEW_TELL**2 / (FEW_TELL**2 + _telling(probes.direct) ** 2)
         # Where the view's light comes from last: there the particles are wanted.
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
         self.emitters = focused(scene.emitters, self.lit_from) if focus else scene.emitters

@@ -18,10 +18,10 @@ from ..jit import inlined, kernel, leaf
 from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_FAR, T_NEAR, WIDTH
 from ..rays.trace import ALL, COHERENT, CUTOUT, OPAQUE, intersect1, occluded_packet
 from ..sampling.hashing import uniform
-from ..scene import ANGLED, REFRACTIVE, TRANSPARENT
+from ..scene import ANGLED, DIFFUSE, GLOSSY, REFRACTIVE, TRANSPARENT
 from .layout import REFRACTION, TRANSPARENCY, passing_chance
 from .normals import sees_back, shading_normal
-from .program import MEAN_VIEW, evaluate, from_within, reflected_view
+from .program import MEAN_VIEW, evaluate, from_within, reflected_view, specular_view
 
 _BENDING = 0.2  # of the sum of normals across a ray: a tenth of a radian in glass
 MAX_PASSED = 128  # transparent surfaces on one segment; what lies behind more counts as dark
@@ -31,8 +31,8 @@ OUTSIDE = np.int64(0)  # solids that a path has entered which was scattered just
 
 
 @inlined
-def _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface):
-    """`evaluate_along`, which also returns the shading normal (unit; 0 where the view does not matter) and whether the back of glass is seen."""
+def _evaluate_along(scene, triangle, u, v, dx, dy, dz, kinds, entered, rows, surface):
+    """`evaluate_along` for a ray of these kinds, which also returns the shading normal (unit; 0 where the view does not matter) and whether the back of glass is seen."""
     material = scene.material[triangle]
     flags = scene.materials.flags[material]
     cosine = np.float32(MEAN_VIEW)
@@ -43,7 +43,8 @@ def _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface):
         length = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz))
         cosine = min(_1, abs(nx * dx + ny * dy + nz * dz) / length)
         behind = sees_back(scene.vertices, scene.triangles, triangle, dx, dy, dz)
-        cosine = reflected_view(-cosine if behind else cosine)
+        cosine = -cosine if behind else cosine
+        cosine = specular_view(cosine, GLOSSY) if kinds == GLOSSY else reflected_view(cosine)
         behind = behind and flags & REFRACTIVE != 0
         if behind and entered == 0:
             cosine = from_within(cosine)
@@ -57,7 +58,7 @@ def evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface):
 
     entered: how many solids of glass the ray has entered.
     """
-    _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
+    _evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, entered, rows, surface)
 
 
 @leaf
@@ -116,7 +117,7 @@ def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near,
             # One side alone, as a pool's surface or a pane without thickness, is no lens.
             lens = glasses % 2 == 0 and _bends(x, y, z, dx, dy, dz)
             return r, g, b, -_1 if lens else clear
-        nx, ny, nz, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
+        nx, ny, nz, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, kinds, entered, rows, surface)
         r *= surface[TRANSPARENCY]
         g *= surface[TRANSPARENCY + 1]
         b *= surface[TRANSPARENCY + 2]
@@ -177,7 +178,7 @@ def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach,
         triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, dx, dy, dz, start, reach, kinds)
         if triangle < 0:
             return -1, _0, _0, reach, r, g, b, clear, entered
-        _, _, _, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
+        _, _, _, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, kinds, entered, rows, surface)
         within = entered if behind else OUTSIDE
         flags = scene.materials.flags[scene.material[triangle]]
         if not flags & TRANSPARENT:

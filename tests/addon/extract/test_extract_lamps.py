@@ -256,3 +256,16 @@ def test_elliptic_spot_cone_is_named_in_a_warning(stage):
     stage.cube()
     stage.lamp("SPOT", Matrix.Diagonal((1, 2, 1, 1)), energy=1)
     assert any("'Spot'" in warning for warning in stage.extract().warnings)
+
+
+def test_elliptic_spot_cone_keeps_its_solid_angle(stage):
+    stage.cube()
+    stage.lamp("SPOT", Matrix.Diagonal((2, 0.5, 1, 1)), energy=1, spot_size=0.4)
+    assert stage.extract().lamps.angle[0] == pytest.approx(0.4, rel=1e-5)
+
+
+def test_a_flattened_point_lamp_shines_as_ever(stage):
+    stage.cube()
+    stage.lamp("POINT", Matrix.Translation((0, 0, 3)) @ Matrix.Diagonal((1, 1, 0, 1)), energy=10)
+    lamps = stage.extract().lamps
+    assert lamps.names and np.isfinite(lamps.axes).all() and lamps.emission.all()
