@@ -161,7 +161,7 @@ def light_path(node: NodeInput, output: str) -> Value:
         rays = SHADOW
     elif output != "Is Camera Ray":
         node.warn(
-            f"Light Path ('{output}') knows what the camera sees, its mirrors and glass show, and takes all other rays for diffuse ones"
+            f"Light Path ('{output}') knows what the camera sees, what mirrors and glass show it, and rays of reflections, and takes all other rays for diffuse ones"
         )
     return node.emit(ops.VIEWED, p=rays) if rays not in (0, _ANY) else ONE if rays else ZERO
 
