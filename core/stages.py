@@ -203,7 +203,7 @@ def direct_stage(
 ) -> DirectLight:  # fmt: skip
     """Direct light at the points: irradiance, and what their lobes reflect of it by shadow rays.
 
-    sampler: whose gather rays have gone out from these points, and count for what they have found of the world.
+    sampler: whose gather rays have gone out from these points, and count for what they have found of the world and of shining surfaces.
     """
     samples, seed = settings.direct_samples, settings.seed
     gathered = sampler.gathered if sampler and shadows_alike(scene.geometry, scene.materials.tables) else None

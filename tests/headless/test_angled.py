@@ -15,7 +15,7 @@ from lumigate.headless.cache import cached_halves
 
 from .test_direct_light import lamp, look, material, quad
 from .test_glass import slab
-from .test_glass_sheets import roof, sky
+from .test_glass_sheets import open_box, roof, sky
 
 SEEDS = 4
 METHODS = ["importance-sampling", "instant-radiosity"]
@@ -78,18 +78,7 @@ def agree(scene, name, method, layer, size=(16, 16), within=0.03, **identity):
 @pytest.mark.parametrize("over", ROOFS)
 def test_the_sky_through_a_roof_is_as_cycles(over, method):
     """A floor in a black box that is open to the sky but for a roof."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    quad(
-        scene,
-        [(-0.8, -0.8, 0), (0.8, -0.8, 0), (0.8, 0.8, 0), (-0.8, 0.8, 0)],
-        material("Floor", Base_Color=(0.2, 0.2, 0.2, 1), Specular_IOR_Level=0.0),
-    )
-    black = material("Black", Base_Color=(0, 0, 0, 1), Specular_IOR_Level=0.0)
-    for x in (-1, 1):
-        quad(scene, [(x, -1, -1), (x, 1, -1), (x, 1, 1), (x, -1, 1)], black)
-        quad(scene, [(-1, x, -1), (1, x, -1), (1, x, 1), (-1, x, 1)], black)
-    quad(scene, [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)], black)
+    scene = open_box()
     ROOFS[over](scene)
     scene.collection.objects[-1].visible_camera = False
     sky(scene)

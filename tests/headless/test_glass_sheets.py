@@ -53,12 +53,10 @@ ROOFS = {
 }
 
 
-def booth(over):
-    """A dark floor in a black box that is open to the sky but for a roof."""
+def open_box(z=0.0):
+    """An empty scene but for a dark floor at height z in a black box that is open above."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    # Close below the top of the solid that it lies in: what its far sides reflect is not modelled.
-    z = 0.97 if over == "inside" else 0.0
     floor = material("Floor", Base_Color=(0.2, 0.2, 0.2, 1), Specular_IOR_Level=0.0)
     quad(scene, [(-0.8, -0.8, z), (0.8, -0.8, z), (0.8, 0.8, z), (-0.8, 0.8, z)], floor)
     black = material("Black", Base_Color=(0, 0, 0, 1), Specular_IOR_Level=0.0)
@@ -66,6 +64,13 @@ def booth(over):
         quad(scene, [(x, -1, -1), (x, 1, -1), (x, 1, 1), (x, -1, 1)], black)
         quad(scene, [(-1, x, -1), (1, x, -1), (1, x, 1), (-1, x, 1)], black)
     quad(scene, [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)], black)
+    return scene
+
+
+def booth(over):
+    """A dark floor in a black box that is open to the sky but for a roof."""
+    # Close below the top of the solid that it lies in: what its far sides reflect is not modelled.
+    scene = open_box(0.97 if over == "inside" else 0.0)
     ROOFS[over](scene)
     scene.collection.objects[-1].visible_camera = False
     if over == "halves":
