@@ -11,7 +11,7 @@ from ..denoise import Denoiser
 from ..errors import SceneError
 from ..rays.order import morton_order
 from ..scene import Scene, Skipped
-from ..settings import CONTENTS, BakeSettings
+from ..settings import CONTENTS, BakeSettings, RenderSettings
 from ..soundness import sound
 from ..stages import Run, StageProgress, light_points, method_of, prepared
 from ..threads import thread_count
@@ -22,7 +22,8 @@ from ..view.texels import HIDDEN, LIT, Charts, Texels, view_texels
 from .filling import denoised, extended, surroundings, without_strays
 from .seams import find_seams, stitched
 
-CORNER_RAYS = 2  # of a corner of a colour attribute, for each of a texel
+TEXEL_RAYS = 3  # of each shading point of a texel, for each of a pixel's: texels are looked at from near by
+CORNER_RAYS = 2  # of each shading point of a colour attribute's corner, likewise: no denoiser sees them
 DENOISING = "fast"  # half the time of "high" at the same error (docs/lightmaps.md)
 
 
@@ -71,6 +72,7 @@ def bake(
     begin = time.perf_counter()
     scene = sound(scene)
     threads = thread_count(request.threads)
+    settings = replace(settings, render=_with_rays(request, TEXEL_RAYS))
     with prepared(run, scene, request, threads) as tables:
         seen = [_view(run, tables, target, settings, threads) for target in targets]
         irradiance = _light(run, scene, tables, [texels for texels, _ in seen], settings, threads)
@@ -107,11 +109,10 @@ def bake_corners(
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Light at the corners of T triangles, for a colour attribute: values (T, 3, 3), which of them hold light (T, 3) bool, and warnings.
 
-    Corners are few, and no denoiser sees them: each gets `CORNER_RAYS` times the rays of a texel.  Raises as `bake`.
+    Raises as `bake`.
     """
     request = settings.render.with_defaults()
-    more = {name: CORNER_RAYS * getattr(request, name) for name in ("samples", "gather", "direct_samples")}
-    settings = replace(settings, render=replace(request, **more))
+    settings = replace(settings, render=_with_rays(request, CORNER_RAYS))
     run = Run(progress)
     scene = sound(scene)
     threads = thread_count(request.threads)
@@ -123,6 +124,11 @@ def bake_corners(
     if full:
         light = corners.albedo * light * np.float32(1 / np.pi) + corners.emission
     return light, corners.state == LIT, run.warnings
+
+
+def _with_rays(request: RenderSettings, factor: int) -> RenderSettings:
+    """So many times the rays of every shading point."""
+    return replace(request, **{name: factor * getattr(request, name) for name in ("samples", "gather", "direct_samples")})
 
 
 def _view(run: Run, tables: Transport, target: Target, settings: BakeSettings, threads: int) -> tuple[Texels, Charts]:

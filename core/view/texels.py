@@ -1,7 +1,7 @@
 """From the texels of a lightmap to shading points: what the camera is to pixels, a UV map is to texels.
 
-A texel's value is the mean over its square, as a pixel's is: stratified samples in UV space, each of them a shading point, for next
-to walls light varies steeply within a texel.  Samples that nobody can see are left out, so that no dark creeps out from under a wall:
+A texel's value is the mean over its square, as a pixel's is: stratified samples in UV space, and a shading point for each distinct surface
+among them, at one drawn at random, as next to walls light varies steeply within a texel.  Samples that nobody can see are left out, so that no dark creeps out from under a wall:
 those inside closed or touching geometry, and those that a wall parts from the middle of their texel.
 
 A translucent surface is lit from both sides: its texels hold the irradiance that, times its whole colour, gives the light that it sends,
@@ -19,7 +19,7 @@ from ..jit import kernel, leaf
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import WIDTH, disable_ray, hit_t, hit_triangle, is_occluded, new_packet, set_ray
 from ..rays.trace import OPAQUE, intersect_packet, occluded_packet
-from ..sampling.hashing import hash_combine
+from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..sampling.sequences import r2
 from ..scene import DIFFUSE, NORMAL_MAPPED, TRANSLUCENT
@@ -30,8 +30,8 @@ from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..threads import Progress, run_chunks
 from ..transport import Transport, is_translucent
 from .camera import pixel_sample
-from .points import ShadingPoints
-from .tile import SAME_NORMAL
+from .points import SPREAD, ShadingPoints
+from .tile import SAME_NORMAL, SAME_REACH
 
 ROWS = 16  # of texels a chunk
 MOST_SAMPLES = WIDTH  # a texel: they are traced as one packet
@@ -127,20 +127,29 @@ def cover(uv, y0, y1, width, samples, seed, found, weights):
 
 
 class _Samples(NamedTuple):
-    """S samples of one texel: positions and geometric normals (S, 3), errors, footprints (m) and whether each counts (S,)."""
+    """S samples of one texel: positions and geometric normals (S, 3), errors, footprints (m) and whether each counts (S,).
+
+    material: (S,) int32.  first: (S,) int32, the first sample that shows the same surface, -1 for those that do not count.
+    standing: (S,) int32, samples that each one stands for.  member: (S,) int32, scratch.
+    """
 
     position: np.ndarray
     ng: np.ndarray
     error: np.ndarray
     footprint: np.ndarray
     valid: np.ndarray
+    material: np.ndarray
+    first: np.ndarray
+    standing: np.ndarray
+    member: np.ndarray
 
 
 @kernel
 def _new_samples(samples):
     f = np.float32
     return _Samples(
-        np.empty((samples, 3), f), np.empty((samples, 3), f), np.empty(samples, f), np.empty(samples, f), np.empty(samples, np.uint8)
+        np.empty((samples, 3), f), np.empty((samples, 3), f), np.empty(samples, f), np.empty(samples, f), np.empty(samples, np.uint8),
+        np.empty(samples, np.int32), np.empty(samples, np.int32), np.empty(samples, np.int32), np.empty(samples, np.int32),
     )  # fmt: skip
 
 
@@ -237,6 +246,64 @@ def _cosine(normals, i, j):
 
 
 @leaf
+def _draw(at, flags, seed, texel):
+    """Sorts the samples that count by the surfaces that they show, and draws one of each, which stands for all: right in the mean."""
+    n = len(at.valid)
+    for s in range(n):
+        at.first[s], at.standing[s] = -1, 0
+    for s in range(n):
+        if not at.valid[s] or at.first[s] >= 0:
+            continue
+        members = 0
+        alone = flags[at.material[s]] & NORMAL_MAPPED != 0  # whose normals differ from sample to sample
+        for other in range(s, n):
+            if other != s and (
+                alone
+                or not at.valid[other]
+                or at.first[other] >= 0
+                or at.material[other] != at.material[s]
+                or _cosine(at.ng, s, other) < SAME_NORMAL
+                or _farther(at, s, other, SAME_REACH * at.footprint[s])
+            ):
+                continue
+            at.first[other] = s
+            members += 1
+        drawn = np.int64(uniform(seed, texel, s, 7) * np.float32(members))
+        for other in range(s, n):
+            if at.first[other] == s:
+                if drawn == 0:
+                    at.standing[other] = members
+                drawn -= 1
+
+
+@leaf
+def _farther(at, i, j, reach):
+    """Whether two samples lie farther from each other than that (m)."""
+    d = _0
+    for c in range(3):
+        d += (at.position[i, c] - at.position[j, c]) ** 2
+    return d > reach * reach
+
+
+@leaf
+def _spread_out(at, drawn, points, i):
+    """Gives point i, which stands for the surface of the drawn sample, further places on it."""
+    members = 0
+    for s in range(len(at.valid)):
+        if at.first[s] == at.first[drawn]:
+            at.member[members] = s
+            members += 1
+    chosen = 0
+    while at.member[chosen] != drawn:
+        chosen += 1
+    for j in range(SPREAD):
+        other = at.member[(chosen + (j + 1) * members // (SPREAD + 1)) % members]
+        points.error[i] = max(points.error[i], at.error[other])
+        for c in range(3):
+            points.spread[i, j, c] = at.position[other, c] - at.position[drawn, c]
+
+
+@leaf
 def _add_other_side(points, i, share, r, g, b, tr, tg, tb):
     """Makes point i the other side of the one before it, a translucent surface with the albedo (r, g, b) and the transmittance t."""
     j = i - 1
@@ -249,6 +316,8 @@ def _add_other_side(points, i, share, r, g, b, tr, tg, tb):
         points.position[i, c], points.wo[i, c] = points.position[j, c], points.wo[j, c]
         points.ng[i, c], points.ns[i, c] = -points.ng[j, c], -points.ns[j, c]
         points.f0[i, c] = points.f90[i, c] = _0
+        for k in range(SPREAD):
+            points.spread[i, k, c] = points.spread[j, k, c]
     points.error[i], points.roughness[i] = points.error[j], points.roughness[j]
     points.pixel[i], points.triangle[i] = points.pixel[j], points.triangle[j]
 
@@ -274,7 +343,7 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
                 x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, weights[k, s, 0], weights[k, s, 1])
                 at.position[s, 0], at.position[s, 1], at.position[s, 2] = x, y, z
                 at.ng[s, 0], at.ng[s, 1], at.ng[s, 2] = gx, gy, gz
-                at.error[s], at.footprint[s] = error, footprint[found[k, s]]
+                at.error[s], at.footprint[s], at.material[s] = error, footprint[found[k, s]], scene.material[triangle]
         inside = at.valid.astype(np.int64).sum()
         if inside == 0:
             continue
@@ -286,6 +355,7 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
         state[texel] = LIT
         if samples > 1:
             rays += _drop_beyond_walls(scene, packet, at, np.uint32(seed), texel)
+        _draw(at, scene.materials.flags, np.uint32(seed), texel)
         share = _1 / np.float32(at.valid.astype(np.int64).sum())
         out = layers[texel]
         for s in range(samples):
@@ -317,20 +387,25 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
                 if materials:
                     out[EMITTED + c] += share * surface[EMISSION + c]
                 out[POSITION + c] += share * at.position[s, c]
-                points.position[n_points, c] = at.position[s, c]
-                points.ng[n_points, c] = points.wo[n_points, c] = at.ng[s, c]
-                points.albedo[n_points, c] = lit * share
-                points.f0[n_points, c] = points.f90[n_points, c] = _0
             out[NORMALS] += share * sx
             out[NORMALS + 1] += share * sy
             out[NORMALS + 2] += share * sz
+            if at.standing[s] == 0:
+                continue
+            part = np.float32(at.standing[s]) * share
+            for c in range(3):
+                points.position[n_points, c] = at.position[s, c]
+                points.ng[n_points, c] = points.wo[n_points, c] = at.ng[s, c]
+                points.albedo[n_points, c] = lit * part
+                points.f0[n_points, c] = points.f90[n_points, c] = _0
             points.ns[n_points, 0], points.ns[n_points, 1], points.ns[n_points, 2] = sx, sy, sz
             points.error[n_points], points.roughness[n_points], points.tilt[n_points] = at.error[s], _1, tilt
             points.pixel[n_points], points.triangle[n_points] = texel, triangle
+            _spread_out(at, s, points, n_points)
             n_points += 1
             if tr + tg + tb > _0:
                 r, g, b = diffuse_albedo_average(surface)
-                _add_other_side(points, n_points, share, r, g, b, tr, tg, tb)
+                _add_other_side(points, n_points, part, r, g, b, tr, tg, tb)
                 n_points += 1
     return n_points, rays
 

@@ -113,9 +113,27 @@ def test_an_edge_in_a_texel_gives_a_point_for_each_side(build, seen):
     uv = np.concatenate([quad_uv((0, 0), (0.5, 1)), quad_uv((0.5, 0), (1, 1))])
     texels = seen(*build.quads(flat, steep), range(4), uv, (3, 3), samples=16)
     middle = texels.points.pixel % 3 == 1
-    assert len(middle) == 9 * 16
+    assert np.bincount(texels.points.pixel).tolist() == 3 * [1, 2, 1]
     upward = texels.points.ns[:, 2] > 0.9
     assert np.bincount(texels.points.pixel[middle & upward] // 3, texels.points.albedo[middle & upward, 0]) == pytest.approx(0.5, abs=0.13)
+
+
+def test_points_stand_for_surfaces(build, seen):
+    # In one plane, of one material: a point a texel, somewhere in it, that knows other places there.
+    left, right = [(0, 0, 0), (0.5, 0, 0), (0.5, 1, 0), (0, 1, 0)], [(0.5, 0, 0), (1, 0, 0), (1, 1, 0), (0.5, 1, 0)]
+    uv = np.concatenate([quad_uv((0, 0), (0.5, 1)), quad_uv((0.5, 0), (1, 1))])
+    points = seen(*build.quads(left, right), range(4), uv, (31, 31), samples=4).points
+    assert (np.sort(points.pixel) == np.arange(31 * 31)).all()
+    assert (points.albedo == 1).all()
+    within = 31 * points.position[:, :2] % 1
+    assert np.abs(within.mean(axis=0) - 0.5) == pytest.approx(0, abs=0.04)  # drawn among all samples
+    assert np.histogramdd(within, (2, 2), ((0, 1), (0, 1)))[0].min() > 0.2 * len(within)
+    places = points.position[:, None] + points.spread
+    assert (np.linalg.norm(points.spread, axis=-1) > 0).all()
+    assert (np.floor(31 * places[..., :2]) == np.floor(31 * points.position[:, None, :2])).all()
+    # Of two materials: two points in the texels in between.
+    points = seen(*build.quads(left, right), range(4), uv, (31, 31), samples=16, material=[0, 0, 1, 1]).points
+    assert np.bincount(points.pixel % 31).tolist() == 15 * [31] + [62] + 15 * [31]
 
 
 def box(low, high):
