@@ -31,6 +31,7 @@ import numpy as np
 
 from .jit import inlined, kernel, leaf
 from .lamps.emission import emit
+from .lamps.tables import CASTS_SHADOW
 from .rays.offsets import hit_point, offset_origin
 from .rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
 from .rays.trace import ALL, intersect_packet
@@ -267,7 +268,15 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
                     evaluate_along(scene, triangle, u, v, dx, dy, dz, entered[lane], rows, surface)
                     through = False
-                    if flags & TRANSPARENT:
+                    seen = scene.object_visibility[scene.object[triangle]]
+                    unshadowed = bounce == 0 and not (seen & SHADOW and scene.emitters.flags[emitter[lane]] & CASTS_SHADOW)
+                    if unshadowed:  # it is lit, and so is what lies behind it: the particle does one or the other
+                        through = True
+                        if seen & DIFFUSE:
+                            through = uniform(seed, base + lane, bounce, 16 + _MAX_PASSED + passed) < np.float32(0.5)
+                            for c in range(3):
+                                flux[lane, c] *= np.float32(2.0)
+                    elif flags & TRANSPARENT:
                         if not reverse:
                             tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
                         chance = max(tr, tg, tb)
@@ -291,9 +300,6 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                             flux[lane, 0] /= _1 - chance
                             flux[lane, 1] /= _1 - chance
                             flux[lane, 2] /= _1 - chance
-                    seen = scene.object_visibility[scene.object[triangle]]
-                    if bounce == 0 and not seen & SHADOW:
-                        through = True
                     if through:
                         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
                         kinds = DIFFUSE | SHADOW if bounce == 0 else DIFFUSE
