@@ -31,6 +31,7 @@ import numpy as np
 
 from .jit import inlined, kernel, leaf
 from .lamps.emission import emit
+from .lamps.tables import CASTS_SHADOW
 from .rays.offsets import hit_point, offset_origin
 from .rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
 from .rays.trace import ALL, intersect_packet
@@ -65,7 +66,7 @@ _MAX_ADJOINT = np.float32(8.0)  # bound of |ns.w| / |ng.w|: beyond it a smooth n
 _MORE_SURFACES = 4  # that a path may meet beyond its diffuse bounces, by glossy reflections and through translucent surfaces
 LEAST_POWER = 1.0  # of the mean share of its light that a particle keeps at a first surface: what surely flies on by `trace_by_power`
 # Most `sharpness` of lights by `trace_by_power`: narrower ones are seen as spots, for there are only so many of them.
-SHARPEST = np.float32(8.0)
+SHARPEST = np.float32(32.0)
 # Times 1 / roughness^4: the sharpness of a light that shines about as widely as the lobe that its direction was drawn from.
 _AS_WIDE = np.float32(0.25)
 _NESTED = 4  # fronts of glass, each within the last, that a particle owes for
@@ -160,12 +161,14 @@ def _axis(lobe, sharpest, gx, gy, gz, wx, wy, wz):
     if not sharpest > _0:
         return wx, wy, wz, _0
     alpha = lobe[ALPHA]
-    own = _AS_WIDE / max(alpha * alpha, np.float32(1e-12))
-    sharp = min(sharpest, np.float32(2.0) * own)
-    toward = np.float32(math.sqrt(max(_0, _1 - own / sharp)))
     nx, ny, nz = lobe[NORMAL], lobe[NORMAL + 1], lobe[NORMAL + 2]
     vx, vy, vz = lobe[VIEWER], lobe[VIEWER + 1], lobe[VIEWER + 2]
-    c = np.float32(2.0) * (nx * vx + ny * vy + nz * vz)
+    cosine = nx * vx + ny * vy + nz * vz
+    # Low light is reflected as widely as other light up and down, but less to the sides, by its cosine; this is as wide in the mean.
+    own = np.float32(2.0) * _AS_WIDE / max(alpha * alpha * (_1 + cosine * cosine), np.float32(1e-12))
+    sharp = min(sharpest, np.float32(2.0) * own)
+    toward = np.float32(math.sqrt(max(_0, _1 - own / sharp)))
+    c = np.float32(2.0) * cosine
     # Wide lobes lean towards the normal (Lagarde & de Rousiers 2014, Moving Frostbite to PBR, section 4.9.3).
     lean = _1 - alpha * alpha
     mx, my, mz = nx + lean * (c * nx - vx - nx), ny + lean * (c * ny - vy - ny), nz + lean * (c * nz - vz - nz)
@@ -267,7 +270,15 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
                     evaluate_along(scene, triangle, u, v, dx, dy, dz, entered[lane], rows, surface)
                     through = False
-                    if flags & TRANSPARENT:
+                    seen = scene.object_visibility[scene.object[triangle]]
+                    unshadowed = bounce == 0 and not (seen & SHADOW and scene.emitters.flags[emitter[lane]] & CASTS_SHADOW)
+                    if unshadowed:  # it is lit, and so is what lies behind it: the particle does one or the other
+                        through = True
+                        if seen & DIFFUSE:
+                            through = uniform(seed, base + lane, bounce, 16 + _MAX_PASSED + passed) < np.float32(0.5)
+                            for c in range(3):
+                                flux[lane, c] *= np.float32(2.0)
+                    elif flags & TRANSPARENT:
                         if not reverse:
                             tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
                         chance = max(tr, tg, tb)
@@ -291,9 +302,6 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                             flux[lane, 0] /= _1 - chance
                             flux[lane, 1] /= _1 - chance
                             flux[lane, 2] /= _1 - chance
-                    seen = scene.object_visibility[scene.object[triangle]]
-                    if bounce == 0 and not seen & SHADOW:
-                        through = True
                     if through:
                         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
                         kinds = DIFFUSE | SHADOW if bounce == 0 else DIFFUSE

@@ -24,6 +24,8 @@ SPREAD = np.float32(2.0)  # how fast they are less so
 LEAST_COSINE = np.float32(0.3)  # of normals that are alike at all
 OFF_PLANE, AWAY = np.float32(1.5), np.float32(20.0)  # widths of a pixel off the plane, or away, that count as a step of unlikeness
 RATIOS = np.float32(4.0)  # weight of the squared relative difference of the denoised ratios: a shadow's edge is none of the noise
+# What is left over in a pixel of a much larger ratio is as much larger, and tells nothing of this one: beside a keyhole, walls would be black.
+MUCH_BRIGHTER = np.float32(4.0)
 # Part of a residual that is given back: the denoiser has kept some of the noise, which is missing in the residual.
 PART = np.float32(0.6)
 WHOLE = np.float32(2.0)  # as rays are dealt: points that are half of what their pixel shows, or more, have all rays
@@ -131,6 +133,7 @@ def _mean_residual(begin, rows, ratio, width, height, x, y, p):
             unlike = (h - g) / (h + g + np.float32(1e-20))
             far = SPREAD * np.float32((row - y) * (row - y) + (column - x) * (column - x)) / np.float32(REACH * REACH)
             far += RATIOS * unlike * unlike
+            bound = _1 if h <= MUCH_BRIGHTER * g else MUCH_BRIGHTER * g / h
             for q in range(begin[k], begin[k + 1]):
                 cosine = nx * rows[q, NORMAL] + ny * rows[q, NORMAL + 1] + nz * rows[q, NORMAL + 2]
                 if cosine <= LEAST_COSINE:
@@ -139,7 +142,7 @@ def _mean_residual(begin, rows, ratio, width, height, x, y, p):
                 off = nx * ex + ny * ey + nz * ez
                 u = _1 + np.float32(0.5) * (far + plane * off * off + place * (ex * ex + ey * ey + ez * ez))
                 cosine *= cosine
-                w = cosine * cosine * rows[q, RAYS] / (u * u * u)
+                w = bound * bound * cosine * cosine * rows[q, RAYS] / (u * u * u)
                 f = w * rows[q, FORESEEN]
                 a, b, c = w * rows[q, RESIDUAL], w * rows[q, RESIDUAL + 1], w * rows[q, RESIDUAL + 2]
                 r0, r1, r2, whole = r0 + a, r1 + b, r2 + c, whole + f

@@ -22,6 +22,8 @@ from .nodes import node_tree, surface
 _KINDS = {"POINT": POINT, "SPOT": SPOT, "SUN": SUN, "AREA": AREA}
 # Cycles treats a spread of zero as parallel light; the narrowest softbox here has the same power.
 _MIN_SPREAD = math.radians(0.1)
+# Bounces of a path up to which Cycles lets a light or world shine (`max_bounces`); as many as are traced by default matter.
+FEW_BOUNCES = 4
 
 
 @dataclass
@@ -98,6 +100,10 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
             _SHAPERS[light.type](lamp, light, np.linalg.norm(matrix[:3, :3], axis=0), found)
             if lamp.emission.any():
                 found.lamps.append(lamp)
+                if light.cycles.max_bounces < FEW_BOUNCES:
+                    found.warnings.append(
+                        f"lamp '{ob.name}' has Max Bounces {light.cycles.max_bounces}, which is ignored: its light bounces on as that of others"
+                    )
             else:
                 found.skip(ob.name, "has no size")
     for ob in depsgraph.scene.objects:

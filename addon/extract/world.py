@@ -17,7 +17,7 @@ import platformdirs
 from ...core.errors import SceneError
 from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, SUN, TRANSMISSION, World
 from .fingerprint import fingerprint
-from .lamps import Lamp
+from .lamps import FEW_BOUNCES, Lamp
 from .nodes import Shader, node_tree, surface
 from .panorama import Sun, pack_suns, render_panorama, render_panorama_apart, unpack_suns
 
@@ -67,6 +67,10 @@ def extract_world(
             )
     if output is not None and output.inputs["Volume"].is_linked:
         found.warnings.append(f"the volume of world '{world.name}' is left out")
+    if world.cycles.max_bounces < FEW_BOUNCES:
+        found.warnings.append(
+            f"world '{world.name}' has Max Bounces {world.cycles.max_bounces}, which is ignored: its light bounces on as that of lamps"
+        )
     shader = surface(world)
     if shader is None:
         return found

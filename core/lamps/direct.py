@@ -32,6 +32,7 @@ from ..surfaces.bumps import mean_shadowing, shadowing
 from ..surfaces.layout import EMISSION, SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count, set_lobe
 from ..surfaces.program import new_registers
+from ..surfaces.terminator import LOW, lift
 from ..surfaces.visibility import OUTSIDE, nearest_surface, transmittance1
 from ..threads import Progress, run_chunks
 from .escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray, no_gather_rays
@@ -61,6 +62,7 @@ class Receivers(NamedTuple):
     """N points to be lit, as `view.points.ShadingPoints`.
 
     The arrays from wo to albedo are empty where no point has a lobe; spread is (N, 0, 3) where each has one place.
+    triangle: -1 where rays leave from the facets themselves.
     gathered, met, gather_key: count, met, and (seed, first) of `GatherRays`.
     """
 
@@ -68,6 +70,7 @@ class Receivers(NamedTuple):
     ns: np.ndarray
     ng: np.ndarray
     error: np.ndarray
+    triangle: np.ndarray
     wo: np.ndarray
     f0: np.ndarray
     f90: np.ndarray
@@ -394,10 +397,13 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
     emitters = scene.emitters
     sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
     gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
-    cosine = sx * dx + sy * dy + sz * dz
-    if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
+    cosine, across = sx * dx + sy * dy + sz * dz, gx * dx + gy * dy + gz * dz
+    if cosine <= _0 or not max(r, g, b) > _0:
         return n
-    if points.gathered[i] > 0 and emitters.kind[e] == TRIANGLE:
+    if across <= _0:  # from below the facet, yet above the smooth surface: by this ray alone, for no gather ray or ray of a lobe goes there
+        if points.tilt[i] > _0 or emitters.kind[e] == WORLD:
+            return n
+    elif points.gathered[i] > 0 and emitters.kind[e] == TRIANGLE:
         w *= share_of(
             aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz), _gather_density(points.gathered[i], cosine)
         )
@@ -406,12 +412,19 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
         cosine *= shadowing(points.tilt[i], gx * dx + gy * dy + gz * dz) / mean_shadowing(points.tilt[i])
     light[0], light[1], light[2] = w * cosine * r, w * cosine * g, w * cosine * b
     if block.lobe[k, ALPHA] > _0 and shine > _0:
-        fr, fg, fb = _lobe_share(emitters, e, block.lobe[k], block.drawn[k], block.expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
+        drawn = block.drawn[k] if across > _0 else np.int64(0)
+        fr, fg, fb = _lobe_share(emitters, e, block.lobe[k], drawn, block.expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
         glossy[0], glossy[1], glossy[2] = shine * fr * r, shine * fg * g, shine * fb * b
     else:
         glossy[0] = glossy[1] = glossy[2] = _0
     ray[3], ray[4], ray[5], ray[6] = dx, dy, dz, -_1
     if emitters.flags[e] & CASTS_SHADOW:
+        if across < LOW and points.triangle[i] >= 0:
+            lx, ly, lz = lift(scene.vertices, scene.triangles, scene.corner_normals, points.triangle[i], px, py, pz, gx, gy, gz, dx, dy, dz)
+            px, py, pz = px + lx, py + ly, pz + lz
+        if across <= _0:  # start above, from where `shadow_ray` goes down by half: the facet is in the way of what does not pass beside it
+            rise = np.float32(2.0) * points.error[i]
+            px, py, pz = px + rise * gx, py + rise * gy, pz + rise * gz
         ray[0], ray[1], ray[2], ray[3], ray[4], ray[5], ray[6] = shadow_ray(
             scene, e, u, v, px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz, t
         )
@@ -767,8 +780,9 @@ def direct_light(
         tilt = getattr(points, "tilt", np.zeros(len(points.position), np.float32))
         spread = getattr(points, "spread", np.zeros((len(points.position), 0, 3), np.float32))
         entered = np.zeros(len(points.position), np.uint8)
+        triangle = getattr(points, "triangle", np.full(len(points.position), -1, np.int32))
         receivers = Receivers(
-            points.position, points.ns, points.ng, points.error, none, none, none, np.zeros(0, np.float32), none, spread, tilt, entered, *others,
+            points.position, points.ns, points.ng, points.error, triangle, none, none, none, np.zeros(0, np.float32), none, spread, tilt, entered, *others,
         )  # fmt: skip
     receivers = Reference(receivers)
     n, columns = len(points.position), 3 * scene.emitters.light_groups

@@ -67,6 +67,20 @@ def test_light_is_never_negative():
     assert found.min() >= 0 and np.isfinite(found).all()
 
 
+def test_a_wall_round_a_bright_hole_keeps_its_light():
+    # The pixels of the hole's rim show some wall, too, of which the denoised ratio says that it is a thousand times too bright.
+    y, x = np.divmod(np.arange(H * W), W)
+    zero = np.zeros(H * W)
+    rim = (np.abs(x - 15) <= 1) & (np.abs(y - 12) <= 1)
+    wall = light_of(np.arange(H * W), np.stack([x, y, zero], 1), UP, np.where(rim, 0.2, 0.5), 1.0)
+    hole = light_of(np.flatnonzero(rim), np.stack([x, y, zero - 1], 1)[rim], SIDE, 0.3, 5000.0)
+    light = both(wall, hole)
+    truth = np.bincount(light.pixel, light.albedo[:, 0] * light.irradiance[:, 0] / np.pi, H * W).astype(np.float32)
+    truth = truth.reshape(H, W, 1).repeat(3, axis=2)
+    found = give_back(truth, np.full((H, W, 3), 0.5, np.float32), (light,))
+    np.testing.assert_allclose(found.reshape(-1, 3)[~rim], truth.reshape(-1, 3)[~rim], rtol=0.3)
+
+
 def test_threads_give_the_same_bits():
     light, truth, foreseen = stairs(noise=0.5)
     np.testing.assert_array_equal(give_back(truth, foreseen, (light,), threads=1), give_back(truth, foreseen, (light,), threads=2))
@@ -107,7 +121,7 @@ def oracle(clean, foreseen, light):
         off = (e @ light.normal[p]) / 1.5
         unlike = (total[near] - total[p]) / (total[near] + total[p])
         u = 1 + 0.5 * (2 * ((y[near] - y[p]) ** 2 + (x[near] - x[p]) ** 2) / 16 + off**2 + (e**2).sum(1) / 400 + 4 * unlike**2)
-        w = cosine[near] ** 4 * rays[near] / u**3
+        w = cosine[near] ** 4 * rays[near] / u**3 * np.minimum(1, 4 * total[p] / total[near]) ** 2
         f, r = w * light.foreseen[near], w[:, None] * residual[near]
         number, mean = f.sum() ** 2 / (f**2).sum(), r.sum() / f.sum()
         if number <= 1.5:

@@ -198,6 +198,14 @@ def test_varying_nodes_are_named_in_a_warning(stage):
     np.testing.assert_allclose(scene.lamps.emission[0], 50 / (4 * math.pi), rtol=1e-6)
 
 
+def test_a_limit_of_bounces_is_named_in_a_warning(stage):
+    stage.cube()
+    lamp = stage.lamp("POINT", DOWN_FROM, energy=50)
+    assert not stage.extract().warnings
+    lamp.data.cycles.max_bounces = 1
+    assert [warning for warning in stage.extract().warnings if "Max Bounces 1" in warning and f"'{lamp.name}'" in warning]
+
+
 def test_nodes_without_surface_are_dark(stage):
     stage.cube()
     with_nodes(stage, lambda tree, emission: tree.nodes.remove(emission))

@@ -229,6 +229,12 @@ def test_volume_is_named_in_a_warning(stage, sky):
     assert any("volume of world 'World'" in warning for warning in stage.extract().warnings)
 
 
+def test_a_limit_of_bounces_is_named_in_a_warning(stage, sky):
+    stage.cube()
+    stage.scene.world.cycles.max_bounces = 0
+    assert any("world 'World' has Max Bounces 0" in warning for warning in stage.extract().warnings)
+
+
 def test_missing_image_is_named_in_a_warning(stage, sky, tmp_path):
     tree, background = sky
     picture = saved(image(blobs()), tmp_path)
