@@ -39,11 +39,13 @@ from .tables import (
     TEXTURED,
     TRIANGLE,
     UPPER,
+    WITHIN,
     WORLD,
     Emitters,
     LampTables,
 )  # fmt: skip
 from .tree_build import COLUMNS, TWO_SIDED, light_tree
+from .within import share_within
 from .world import no_world, projected_box_area, world_table
 
 # Up to this many emitters near the scene are all sampled at every point; more of them go into the tree.
@@ -195,6 +197,8 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
     groups = LightGroups.one(scene) if groups is None else groups
     box = _box(scene)
     source, kind, flags, radiance, flux, bounds, lamps = _lamps(scene, ray_kind, box)
+    spheres = np.flatnonzero((kind == POINT) | (kind == SPOT))
+    lamps[spheres, WITHIN] = share_within(scene.geometry, lamps[spheres, POSITION : POSITION + 3], lamps[spheres, RADIUS])
     triangle, material, mesh_flags, mesh_radiance, mesh_flux, mesh_bounds, shapes = _mesh(scene, ray_kind, threads)
     world = no_world()
     parts = [(kind, flags, radiance, flux, bounds, groups.lamps[source])]

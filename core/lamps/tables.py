@@ -22,9 +22,9 @@ CASTS_SHADOW, SOFT, ELLIPTIC, TEXTURED, SEEN_BY_GLOSSY, SEEN_BY_CAMERA, SEEN_THR
 
 # Columns of `Emitters.lamps`: xyz of position (m) and of the unit axes, shining along -z; radius (m); cosines where a
 # spot's smooth edge begins and where it is full; 1 - cos of a sun's half angle; full widths (m), half spread (rad) and
-# its tangent (inf for none) of an area lamp.
-POSITION, AXIS_X, AXIS_Y, AXIS_Z, RADIUS, COS_OUTER, COS_INNER, ONE_MINUS_COS, SIZE, HALF_SPREAD, TAN_HALF_SPREAD, LAMP = (
-    0, 3, 6, 9, 12, 13, 14, 15, 16, 18, 19, 20,
+# its tangent (inf for none) of an area lamp; about which share of the chords of a sphere meets a surface, 0 for none within.
+POSITION, AXIS_X, AXIS_Y, AXIS_Z, RADIUS, COS_OUTER, COS_INNER, ONE_MINUS_COS, SIZE, HALF_SPREAD, TAN_HALF_SPREAD, WITHIN, LAMP = (
+    0, 3, 6, 9, 12, 13, 14, 15, 16, 18, 19, 20, 21,
 )  # fmt: skip
 
 # Columns of `Emitters.shapes`: xyz of a triangle's corners (m) and unit normal, area (m^2).
