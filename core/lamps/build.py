@@ -10,6 +10,7 @@ from ..scene import AREA, CAMERA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, GLOSSY, 
 from ..surfaces.batch import evaluate_batch
 from ..surfaces.layout import EMISSION
 from .groups import LightGroups
+from .sharp import small_lamps
 from .tables import (
     AREA_M2,
     AXIS,
@@ -33,6 +34,7 @@ from .tables import (
     SEEN_BY_GLOSSY,
     SEEN_THROUGH_GLASS,
     SHAPE,
+    SHARP,
     SIZE,
     SOFT,
     TAN_HALF_SPREAD,
@@ -220,6 +222,9 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
     else:
         single, members = np.zeros(0, np.int64), np.concatenate([analytic, triangles])
     sampled = np.concatenate([single, distant, [-1] if len(members) else []])
+    own = np.intersect1d(np.flatnonzero(small_lamps(kind[: len(lamps)], lamps, box)), sampled).astype(int)
+    if len(own) <= FEW:
+        flags[own] |= SHARP
     return Emitters(
         kind=kind.astype(np.int32),
         flags=flags.astype(np.int32),
