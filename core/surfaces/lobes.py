@@ -179,8 +179,8 @@ def lobe_value(row, dx, dy, dz):
 def flattened_lobe(row, along, across, dx, dy, dz):
     """As `lobe_value` (r, g, b in 1/sr), of normals that fill a rectangle of slopes about its own: along and across (3,) are its half axes.
 
-    Of the distribution of normals, in slopes (x, y) a^2 / (pi (a^2 + x^2 + y^2)^2), the tails are kept: the share a^2 / (a^2 + h^2 + k^2), as if h^2 + k^2
-    were added to x^2 + y^2.  The rest is as bright as in its middle within the rectangle, and falls from its edges: that of max(|x| - h, 0) and
+    Of the distribution of normals, in slopes (x, y) a^2 / (pi (a^2 + x^2 + y^2)^2), the tails are kept, as if h^2 + k^2 were added to
+    x^2 + y^2: the share a^2 / (a^2 + h^2 + k^2).  The rest is as bright as in its middle within the rectangle, and falls from its edges: that of max(|x| - h, 0) and
     max(|y| - k, 0), over its integral 1 + (h + k) / a + 4 h k / (pi a^2), with h and k less than the half axes by up to pi a / 4, so that the
     middle of a large rectangle is as bright as the mean.  Mirrors have such a lobe, too.
     """
@@ -208,7 +208,9 @@ def flattened_lobe(row, along, across, dx, dy, dz):
     a2, size2 = alpha * alpha, wide * wide + thin * thin
     fall, tail = _1 + max(beyond, _0) / a2, _1 + (off + size2) / a2
     cos2 = cos_h * cos_h / length2
-    d = size2 / ((a2 + size2) * whole * fall * fall) + _1 / (tail * tail)
+    kept = a2 / (a2 + size2)
+    far = (whole - _1) / max(whole - kept, np.float32(1e-6))  # of the tails: the rest has some, too
+    d = (_1 - far * kept) / (whole * fall * fall) + far / (tail * tail)
     d *= _QUARTER * _1_PI / (a2 * cos2 * cos2 * row[COSINE])
     rise = _fresnel_rise(_HALF * np.float32(math.sqrt(length2)), row[IOR])
     w = d / (_1 + smith_lambda(row[COSINE], alpha) + smith_lambda(cos_d, alpha))

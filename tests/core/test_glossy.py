@@ -153,13 +153,13 @@ def lobe_at(slopes, roughness, view):
     return rows
 
 
-@pytest.mark.parametrize("widths", [(0.05, 0.02), (0.05, 0.0), (0.0, 0.0)])
+@pytest.mark.parametrize("widths", [(0.05, 0.02), (0.05, 0.0), (0.01, 0.01), (0.01, 0.0), (0.0, 0.0)])
 def test_the_lobe_of_normals_that_fill_a_rectangle_is_their_mean(widths):
     roughness, view, n = 0.1, view_at(0.8), 161
     grid = (np.arange(n) + 0.5) / n * 2 - 1
     rows = lobe_at(np.stack(np.meshgrid(widths[0] * grid, widths[1] * grid), -1).reshape(-1, 2), roughness, view)
     along, across = np.array([widths[0], 0, 0], F), np.array([0, widths[1], 0], F)
-    for x, y, tolerance in ((0, 0, 0.3), (0.4, -0.2, 0.3), (-0.5, 0, 0.3), (5, 9, 0.3), (-6, 0, 0.3)):
+    for x, y, tolerance in ((0, 0, 0.3), (0.4, -0.2, 0.3), (-0.5, 0, 0.3), (5, 9, 0.1), (-6, 0, 0.1)):
         h = np.array([x * widths[0], y * widths[1], 1.0]) / math.sqrt(1 + (x * widths[0]) ** 2 + (y * widths[1]) ** 2)
         d = (2 * (h @ view) * h - view).astype(F)
         mean = np.mean([lobe_value(row, *d)[0] for row in rows])
