@@ -30,7 +30,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .jit import inlined, kernel, leaf
-from .lamps.emission import emit
+from .lamps.emission import FOR_EVER, emit
+from .lamps.shapes import AWAY_FROM_CENTRE
 from .lamps.tables import CASTS_SHADOW
 from .rays.offsets import hit_point, offset_origin
 from .rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
@@ -38,7 +39,7 @@ from .rays.trace import ALL, intersect_packet
 from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
-from .scene import ANGLED, DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SHADOW, TRANSLUCENT, TRANSPARENT
+from .scene import ANGLED, DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SHADOW, SPOT, TRANSLUCENT, TRANSPARENT
 from .surfaces.bumps import shadowing
 from .surfaces.layout import (
     GLOSSY_F0,
@@ -205,6 +206,10 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
     born = np.empty(WIDTH, np.float32)
     emitter = np.empty(WIDTH, np.int32)
     near = np.empty(WIDTH, np.float32)
+    far = np.empty(WIDTH, np.float32)
+    before = np.empty(WIDTH, np.float32)
+    square = np.empty(WIDTH, np.float32)
+    flown = np.empty(WIDTH, np.float32)
     flying = np.empty(WIDTH, np.bool_)
     scattered = np.empty(WIDTH, np.int32)  # diffuse reflections so far, and one for the first surface in any case
     lobe = np.zeros(LOBE, np.float32)
@@ -219,7 +224,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
         lanes = min(WIDTH, end - base)
         for lane in range(lanes):
             i = base + lane
-            emitter[lane], ox, oy, oz, dx, dy, dz, r, g, b, near[lane] = emit(
+            emitter[lane], ox, oy, oz, dx, dy, dz, r, g, b, near[lane], far[lane], before[lane] = emit(
                 scene.emitters, rows, surface, sobol(i, 0, seed), sobol(i, 1, seed), sobol(i, 2, seed), sobol(i, 3, seed), sobol(i, 4, seed)
             )
             origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
@@ -229,6 +234,8 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
             flying[lane] = emitter[lane] >= 0 and max(r, g, b) > 0
             scattered[lane] = 0
             entered[lane] = OUTSIDE
+            square[lane] = near[lane] * before[lane]
+            flown[lane] = _0
         for bounce in range(len(survivors)):
             landed_any = False
             for lane in range(WIDTH):
@@ -260,6 +267,10 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     u, v, t = hit_u(packet, lane), hit_v(packet, lane), hit_t(packet, lane)
                     dx, dy, dz = direction[lane, 0], direction[lane, 1], direction[lane, 2]
                     x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
+                    if bounce == 0 and flown[lane] + t > far[lane]:  # where a sphere's inside ends
+                        flying[lane] = False
+                        disable_ray(packet, lane)
+                        continue
                     behind = gx * dx + gy * dy + gz * dz > 0
                     flags = scene.materials.flags[scene.material[triangle]]
                     angled = flags & (ANGLED | REFRACTIVE) == ANGLED
@@ -269,10 +280,18 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
                         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
                     evaluate_along(scene, triangle, u, v, dx, dy, dz, entered[lane], rows, surface)
-                    through = False
                     seen = scene.object_visibility[scene.object[triangle]]
+                    through = False
+                    ahead = bounce > 0 or flown[lane] + t >= before[lane]
                     unshadowed = bounce == 0 and not (seen & SHADOW and scene.emitters.flags[emitter[lane]] & CASTS_SHADOW)
-                    if unshadowed:  # it is lit, and so is what lies behind it: the particle does one or the other
+                    if not ahead:  # on the disk of a soft lamp, of which it hides a part from what is near
+                        through = True
+                        clear = (tr + tg + tb) / np.float32(3.0) if reverse else _0
+                        if flags & TRANSPARENT and not reverse:
+                            clear = (surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]) / np.float32(3.0)
+                        if not unshadowed and uniform(seed, base + lane, 1, 16 + passed) >= clear:
+                            near[lane] = max(near[lane], square[lane] / (before[lane] - flown[lane] - t))
+                    elif unshadowed:  # it is lit, and so is what lies behind it: the particle does one or the other
                         through = True
                         if seen & DIFFUSE:
                             through = uniform(seed, base + lane, bounce, 16 + _MAX_PASSED + passed) < np.float32(0.5)
@@ -302,6 +321,8 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                             flux[lane, 0] /= _1 - chance
                             flux[lane, 1] /= _1 - chance
                             flux[lane, 2] /= _1 - chance
+                    if bounce == 0:
+                        flown[lane] += t
                     if through:
                         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
                         kinds = DIFFUSE | SHADOW if bounce == 0 else DIFFUSE
@@ -310,9 +331,12 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         landed_any = True
                         continue
                     disable_ray(packet, lane)
-                    if not seen & DIFFUSE or (bounce == 0 and passed == 0 and t < near[lane]):
+                    if not seen & DIFFUSE or (bounce == 0 and flown[lane] < before[lane] + near[lane]):
                         flying[lane] = False
                         continue
+                    if bounce == 0 and np.float32(2.0) * flown[lane] < far[lane] < FOR_EVER and scene.emitters.kind[emitter[lane]] == SPOT:
+                        for c in range(3):
+                            flux[lane, c] *= AWAY_FROM_CENTRE
                     sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                     sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
                     if not (flags & REFRACTIVE and behind):  # else it stays within the glass

@@ -69,6 +69,7 @@ class Picture:
     own_normal: (H, W, 3) float32, `guide_normal` without what lies behind glass and in mirrors; None for the same.
     mirrored_albedo: (H, W, 3) float32, albedo of what rays from narrow lobes have met, with their noise; None for nothing.
     sharp: (H, W, 3) float32, what diffuse surfaces send of the light of lamps with sharp shadows, part of `direct`; None where it is not told apart.
+    shine: (H, W, 3) float32, `highlights` of small things, part of `direct`, too thin for a denoiser to leave them; None for none.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
     points: diffuse indirect light of the passes' shading points, which knows more than that of pixels; empty where it is not kept.
     """
@@ -92,6 +93,7 @@ class Picture:
     own_normal: np.ndarray | None = None
     mirrored_albedo: np.ndarray | None = None
     sharp: np.ndarray | None = None
+    shine: np.ndarray | None = None
     groups: dict[str, GroupLight] = field(default_factory=dict)
     points: tuple[PointLight, ...] = ()
 
@@ -99,12 +101,13 @@ class Picture:
     def compose(
         seen: View, direct: np.ndarray, indirect: np.ndarray, glossy_direct: np.ndarray, glossy_indirect: np.ndarray,
         mirrored_albedo: np.ndarray, weight: float = 1.0, groups: LightGroups | None = None, foreseen: np.ndarray | None = None,
-        sharp: np.ndarray | None = None,
+        sharp: np.ndarray | None = None, shine: np.ndarray | None = None,
     ) -> Picture:  # fmt: skip
         """The picture of irradiances and glossy radiances (N, 3 G) at the shading points.
 
         mirrored_albedo: (N, 3), of what mirrors show, for the denoiser.  groups: the G light groups, None for none.
         foreseen: (N,) irradiance, None for the same everywhere.  sharp: the part of `direct` that has sharp shadows.
+        shine: the part of `glossy_direct` that are highlights.
         """
         columns = [np.s_[:, 3 * k : 3 * k + 3] for k in range(len(seen.emitted))]
         parts = [
@@ -117,6 +120,8 @@ class Picture:
         if sharp is not None:
             sharp = sharp.reshape(len(sharp), sharp.shape[1] // 3, 3).sum(axis=1)
             sharp = splat(seen.points, np.float32(1 / np.pi) * clear * seen.points.albedo * sharp, seen.shape)
+        if shine is not None:
+            shine = splat(seen.points, clear * shine.reshape(len(shine), shine.shape[1] // 3, 3).sum(axis=1), seen.shape)
         expected = seen.points.albedo * clear
         if foreseen is not None:
             expected *= foreseen[:, None]
@@ -134,6 +139,7 @@ class Picture:
             glossy_albedo=splat(seen.points, glossy_albedos(seen.points), seen.shape),
             mirrored_albedo=splat(seen.points, mirrored_albedo, seen.shape) if mirrored_albedo.any() else None,
             sharp=sharp,
+            shine=shine,
             groups={} if groups is None else groups.told_apart(parts, GroupLight(*(np.zeros_like(seen.albedo) for _ in LIGHT))),
         )
 
@@ -148,6 +154,9 @@ class Picture:
         for name in _MEANS_IF_THERE:
             mine, its = getattr(self, name), getattr(other, name)
             means[name] = None if mine is None or its is None else a * mine + b * its
+        if self.shine is not None or other.shine is not None:  # a pass may have none
+            mine, its = (np.zeros_like(self.direct) if part is None else part for part in (self.shine, other.shine))
+            means["shine"] = a * mine + b * its
         return replace(self, weight=whole, groups=groups, points=joined(self.points, other.points), **means)
 
     @property
@@ -199,6 +208,9 @@ class Picture:
 
     def _direct_cleaned(self, cleaned: Callable[..., np.ndarray], quality: str | None) -> np.ndarray:
         """The direct light without noise; sharp shadows are denoised apart, for they go with the noise of other lamps."""
+        if self.shine is not None:
+            matt = replace(self, direct=self.direct - self.shine, shine=None)
+            return self.shine + (matt._direct_cleaned(cleaned, quality) if matt.direct.any() else matt.direct)
         if self.sharp is None:
             return cleaned(self.direct, self.albedo, quality)
         soft = self.direct - self.sharp

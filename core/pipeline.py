@@ -352,7 +352,7 @@ def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
     picture = Picture.compose(
         seen, light.irradiance, indirect + light.irradiance_by_glass, light.glossy + mirrored.direct,
         light.glossy_by_glass + mirrored.indirect, mirrored.albedo, weight, run.groups, foreseen,
-        light.sharp,
+        light.sharp, light.shine,
     )  # fmt: skip
     smooth = None
     if settings.smooth:

@@ -14,7 +14,7 @@ from .coincident import coincident, without_reflection
 from .errors import SceneError
 from .inspection import foresee, savings
 from .jit import CompileTimer
-from .lamps import DirectLight, Emitters, LightGroups, build_emitters, direct_light
+from .lamps import DirectLight, Emitters, LightGroups, build_emitters, direct_light, highlights
 from .lamps.escapes import shadows_alike
 from .methods.area_shadows import area_lamps, direct_by_soft_maps
 from .methods.fuzzy_clustering import FuzzyClustering
@@ -214,6 +214,11 @@ def direct_stage(
             gathered=gathered,
         )  # fmt: skip
         run.rays["shadow"] += rays
+        found = highlights(tables, points, seed, threads) if lobes else None
+        if found is not None:
+            shine, by_glass, rays = found
+            light = light._replace(glossy=light.glossy + shine, glossy_by_glass=light.glossy_by_glass + by_glass, shine=shine)
+            run.rays["shadow"] += rays
         if settings.bounces == 0:  # glass is a bounce
             nothing = np.zeros_like(light.irradiance_by_glass)
             return light._replace(irradiance_by_glass=nothing, glossy_by_glass=nothing)
@@ -235,7 +240,7 @@ def direct_stage(
         return lit
     # Maps know no lobes.
     shown = by_rays(tables, True)
-    return lit._replace(glossy=shown.glossy, glossy_by_glass=shown.glossy_by_glass)
+    return lit._replace(glossy=shown.glossy, glossy_by_glass=shown.glossy_by_glass, shine=shown.shine)
 
 
 def cache_stage(

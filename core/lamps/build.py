@@ -10,6 +10,7 @@ from ..scene import AREA, CAMERA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, GLOSSY, 
 from ..surfaces.batch import evaluate_batch
 from ..surfaces.layout import EMISSION
 from .groups import LightGroups
+from .sharp import small_lamps
 from .tables import (
     AREA_M2,
     AXIS,
@@ -33,17 +34,20 @@ from .tables import (
     SEEN_BY_GLOSSY,
     SEEN_THROUGH_GLASS,
     SHAPE,
+    SHARP,
     SIZE,
     SOFT,
     TAN_HALF_SPREAD,
     TEXTURED,
     TRIANGLE,
     UPPER,
+    WITHIN,
     WORLD,
     Emitters,
     LampTables,
 )  # fmt: skip
 from .tree_build import COLUMNS, TWO_SIDED, light_tree
+from .within import share_within
 from .world import no_world, projected_box_area, world_table
 
 # Up to this many emitters near the scene are all sampled at every point; more of them go into the tree.
@@ -195,6 +199,8 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
     groups = LightGroups.one(scene) if groups is None else groups
     box = _box(scene)
     source, kind, flags, radiance, flux, bounds, lamps = _lamps(scene, ray_kind, box)
+    spheres = np.flatnonzero((kind == POINT) | (kind == SPOT))
+    lamps[spheres, WITHIN] = share_within(scene.geometry, lamps[spheres, POSITION : POSITION + 3], lamps[spheres, RADIUS])
     triangle, material, mesh_flags, mesh_radiance, mesh_flux, mesh_bounds, shapes = _mesh(scene, ray_kind, threads)
     world = no_world()
     parts = [(kind, flags, radiance, flux, bounds, groups.lamps[source])]
@@ -216,6 +222,9 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
     else:
         single, members = np.zeros(0, np.int64), np.concatenate([analytic, triangles])
     sampled = np.concatenate([single, distant, [-1] if len(members) else []])
+    own = np.intersect1d(np.flatnonzero(small_lamps(kind[: len(lamps)], lamps, box)), sampled).astype(int)
+    if len(own) <= FEW:
+        flags[own] |= SHARP
     return Emitters(
         kind=kind.astype(np.int32),
         flags=flags.astype(np.int32),

@@ -39,7 +39,7 @@ from .escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, ga
 from .lookup import can_be_met, emitter_density, emitter_of, share_of
 from .sample import sample_emitter
 from .sharp import sharp_emitters
-from .tables import AXIS_Z, CASTS_SHADOW, ONE_MINUS_COS, SEEN_BY_GLOSSY, TRIANGLE, WORLD
+from .tables import AXIS_Z, CASTS_SHADOW, ONE_MINUS_COS, SEEN_BY_GLOSSY, SHARP, TRIANGLE, WORLD
 from .tree import CUT, choose, cut_estimate, cut_for, descend, importance, importance_around
 from .world import world_density, world_radiance
 from .world_guide import NEAR, aim, draw, expect, forget, look_around, new_world_guide, own_density, remember
@@ -61,7 +61,7 @@ _SHORT = np.float32(1.0 - 1e-5)
 class Receivers(NamedTuple):
     """N points to be lit, as `view.points.ShadingPoints`.
 
-    The arrays from wo to albedo are empty where no point has a lobe; spread is (N, 0, 3) where each has one place.
+    The arrays from wo to albedo are empty where no point has a lobe; spread is (N, 0, 3) where each has one place, and so is turned.
     triangle: -1 where rays leave from the facets themselves.
     gathered, met, gather_key: count, met, and (seed, first) of `GatherRays`.
     """
@@ -77,6 +77,7 @@ class Receivers(NamedTuple):
     roughness: np.ndarray
     albedo: np.ndarray
     spread: np.ndarray
+    turned: np.ndarray
     tilt: np.ndarray
     entered: np.ndarray
     gathered: np.ndarray
@@ -372,6 +373,15 @@ def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, bloc
 
 
 @inlined
+def is_turned(points, i):
+    """Whether the normals of point i differ so much that `highlights` are found apart."""
+    for j in range(points.turned.shape[1]):
+        if points.turned[i, j, 0] != _0 or points.turned[i, j, 1] != _0 or points.turned[i, j, 2] != _0:
+            return True
+    return False
+
+
+@inlined
 def _is_world(emitters, g):
     return emitters.groups[g] >= 0 and emitters.kind[emitters.groups[g]] == WORLD
 
@@ -411,7 +421,7 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
     if points.tilt[i] > _0:  # in place of the mean, which is in the albedo
         cosine *= shadowing(points.tilt[i], gx * dx + gy * dy + gz * dz) / mean_shadowing(points.tilt[i])
     light[0], light[1], light[2] = w * cosine * r, w * cosine * g, w * cosine * b
-    if block.lobe[k, ALPHA] > _0 and shine > _0:
+    if block.lobe[k, ALPHA] > _0 and shine > _0 and not (emitters.flags[e] & SHARP and is_turned(points, i)):
         drawn = block.drawn[k] if across > _0 else np.int64(0)
         fr, fg, fb = _lobe_share(emitters, e, block.lobe[k], drawn, block.expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
         glossy[0], glossy[1], glossy[2] = shine * fr * r, shine * fg * g, shine * fb * b
@@ -727,6 +737,7 @@ class DirectLight(NamedTuple):
     irradiance_by_glass, glossy_by_glass: the same, of light that passed glass on its way from the lamp: glass is a bounce to
     Cycles, which counts it as indirect light.
     sharp: (N, 3 G) float32, what of `irradiance` is of lamps with sharp shadows, None where it is not told apart.
+    shine: (N, 3 G) float32, what of `glossy` are `highlights`, None for none.
     """
 
     irradiance: np.ndarray
@@ -734,6 +745,7 @@ class DirectLight(NamedTuple):
     irradiance_by_glass: np.ndarray
     glossy_by_glass: np.ndarray
     sharp: np.ndarray | None = None
+    shine: np.ndarray | None = None
 
 
 def direct_irradiance(
@@ -782,7 +794,8 @@ def direct_light(
         entered = np.zeros(len(points.position), np.uint8)
         triangle = getattr(points, "triangle", np.full(len(points.position), -1, np.int32))
         receivers = Receivers(
-            points.position, points.ns, points.ng, points.error, triangle, none, none, none, np.zeros(0, np.float32), none, spread, tilt, entered, *others,
+            points.position, points.ns, points.ng, points.error, triangle, none, none, none, np.zeros(0, np.float32), none, spread,
+            np.zeros((0, 0, 3), np.float32), tilt, entered, *others,
         )  # fmt: skip
     receivers = Reference(receivers)
     n, columns = len(points.position), 3 * scene.emitters.light_groups

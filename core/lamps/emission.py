@@ -35,6 +35,7 @@ from .tables import (
     TAN_HALF_SPREAD,
     TEXTURED,
     TRIANGLE,
+    WITHIN,
     WORLD,
     Emitters,
 )  # fmt: skip
@@ -49,7 +50,7 @@ _1 = np.float32(1.0)
 _2 = np.float32(2.0)
 _HALF = np.float32(0.5)
 _PI = np.float32(math.pi)
-_FAR = np.float32(3e38)
+FOR_EVER = np.float32(3e38)  # m, before any particle that has no end
 _2PI = np.float32(2 * math.pi)
 
 
@@ -130,11 +131,11 @@ def _shadow(box, dx, dy, dz):
 @leaf
 def _slabs(box, x, y, z, dx, dy, dz):
     """Distances from a place, along d, at which its line enters and leaves a box: the first is the larger where it misses."""
-    enter, leave = -_FAR, _FAR
+    enter, leave = -FOR_EVER, FOR_EVER
     for low, high, at, d in ((box[0, 0], box[1, 0], x, dx), (box[0, 1], box[1, 1], y, dy), (box[0, 2], box[1, 2], z, dz)):
         if d == _0:
             if at < low or at > high:
-                enter = _FAR
+                enter = FOR_EVER
             continue
         near, far = (low - at) / d, (high - at) / d
         enter, leave = max(enter, min(near, far)), min(leave, max(near, far))
@@ -169,21 +170,36 @@ def _focused_entry(box, focus, dx, dy, dz, u1, u2):
 
 @leaf
 def _emit_point(lamps, i, spot, soft, u1, u2, u3, u4):
-    """Point and spot lamps -> (origin, direction, distance before which the particle does not count).
+    """Point and spot lamps -> (origin, direction, weight, and `near`, `far`, `before` of `emit`).
 
-    All lines of one direction pass a disk of the lamp's radius.  Of a sphere they start on its surface.  A soft
+    All lines of one direction pass a disk of the lamp's radius.  Of a sphere they start on its surface, outwards where they
+    leave it, or inwards where they enter: its inside shines as the outside does, a spot's in all directions.  A soft
     lamp is a disk that faces the point it lights: a point at distance d from the lamp sees a line that passes the
-    centre at distance h only if 1/h^2 > 1/r^2 + 1/d^2, so the line carries light from h^2 / sqrt(r^2 - h^2) on.
+    centre at distance h only if 1/h^2 > 1/r^2 + 1/d^2, so the line carries light from h^2 / sqrt(r^2 - h^2) on.  Where it meets the
+    disk that faces a point so far on is as far behind the centre as h^2 over that distance.
     """
     ax, ay, az = -lamps[i, AXIS_Z], -lamps[i, AXIS_Z + 1], -lamps[i, AXIS_Z + 2]
-    if spot:
+    weight = _1
+    inwards = False
+    crossed = lamps[i, WITHIN]
+    if crossed > _0 and not soft:  # as many as there may be surfaces to meet
+        chance = crossed / (_1 + crossed)
+        inwards = u1 < chance
+        if inwards:
+            u1 = min(u1 / chance, np.float32(0.99999994))
+            full = (_1 - lamps[i, COS_INNER]) + _HALF * (lamps[i, COS_INNER] - lamps[i, COS_OUTER]) if spot else _2
+            weight = _2 / (full * chance)
+        else:
+            u1 = min((u1 - chance) / (_1 - chance), np.float32(0.99999994))
+            weight = _1 / (_1 - chance)
+    if spot and not inwards:
         h = _spot_one_minus_cos(np.float64(lamps[i, COS_OUTER]), np.float64(lamps[i, COS_INNER]), np.float64(u1))
         sine, phi = np.float32(math.sqrt(h * (2.0 - h))), _2PI * u2
         dx, dy, dz = to_world(sine * np.float32(math.cos(phi)), sine * np.float32(math.sin(phi)), np.float32(1.0 - h), ax, ay, az)
     else:
         dx, dy, dz = uniform_sphere(u1, u2)
     x, y, z = lamps[i, POSITION], lamps[i, POSITION + 1], lamps[i, POSITION + 2]
-    near = _0
+    near, far, before = _0, FOR_EVER, _0
     radius = lamps[i, RADIUS]
     if radius > _0:
         a, b = concentric_disk(u3, u4)
@@ -192,11 +208,15 @@ def _emit_point(lamps, i, spot, soft, u1, u2, u3, u4):
         forward = _0
         if soft:
             near = h2 / rest
+            if crossed > _0:
+                forward, before = -rest, rest
+        elif inwards:
+            forward, far = -rest, _2 * rest
         else:
             forward = rest
         hx, hy, hz = to_world(a * radius, b * radius, forward, dx, dy, dz)
         x, y, z = x + hx, y + hy, z + hz
-    return x, y, z, dx, dy, dz, near
+    return x, y, z, dx, dy, dz, weight, near, far, before
 
 
 @leaf
@@ -231,17 +251,18 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
     and direction; all float32 or float64 in [0, 1).  rows, surface: scratch as for `sample_emitter`.
 
     Returns:
-        (emitter or -1 if nothing shines, origin x, y, z, direction x, y, z, flux r, g, b in W, near).  The mean
-        flux of many particles is the power of all emitters.  What the particle meets closer than `near` stops it
-        but is not lit (0 but for lamps with soft falloff).  The inside of a sphere lamp gets no particles.
+        (emitter or -1 if nothing shines, origin x, y, z, direction x, y, z, flux r, g, b in W, near, far, before).  The mean
+        flux of many particles is the power of all emitters, and of the insides of spheres where surfaces lie within.  What the particle
+        meets more than `before` and closer than before + near stops it but is not lit (0 but for lamps with soft falloff).  What it meets closer than
+        `before`, at a distance b before that, only hides from it what is closer than before + near before / b.  It ends at `far`.
     """
     if not emitters.emission_cdf[-1] > 0.0 or emitters.kind.shape[0] == 0:
-        return -1, _0, _0, _0, _0, _0, _1, _0, _0, _0, _0
+        return -1, _0, _0, _0, _0, _0, _1, _0, _0, _0, _0, FOR_EVER, _0
     e, _, probability = sample_cdf(emitters.emission_cdf, np.float64(u0))
     w = _1 / np.float32(probability)
     kind = emitters.kind[e]
     r, g, b = np.float32(emitters.flux[e, 0]), np.float32(emitters.flux[e, 1]), np.float32(emitters.flux[e, 2])
-    near = _0
+    near, far, before = _0, FOR_EVER, _0
     if kind == TRIANGLE:
         i = e - emitters.first_triangle
         shapes = emitters.shapes
@@ -277,8 +298,9 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
     elif kind == AREA:
         x, y, z, dx, dy, dz = _emit_area(emitters.lamps, e, emitters.flags[e] & ELLIPTIC, u1, u2, u3, u4)
     else:
-        x, y, z, dx, dy, dz, near = _emit_point(emitters.lamps, e, kind == SPOT, emitters.flags[e] & SOFT, u1, u2, u3, u4)
-    return e, x, y, z, dx, dy, dz, r * w, g * w, b * w, near
+        x, y, z, dx, dy, dz, k, near, far, before = _emit_point(emitters.lamps, e, kind == SPOT, emitters.flags[e] & SOFT, u1, u2, u3, u4)
+        w *= k
+    return e, x, y, z, dx, dy, dz, r * w, g * w, b * w, near, far, before
 
 
 def focused(emitters: Emitters, places: np.ndarray) -> Emitters:

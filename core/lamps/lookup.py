@@ -18,6 +18,7 @@ from .tables import (
     AXIS_X,
     AXIS_Y,
     AXIS_Z,
+    COS_OUTER,
     ELLIPTIC,
     NORMAL,
     ONE_MINUS_COS,
@@ -99,7 +100,7 @@ def lamp_along(emitters, e, px, py, pz, dx, dy, dz):
     else:
         half = np.float32(math.sqrt(max(_0, radius * radius - d2 * (_1 - along * along))))
         if cone == _2:
-            return d * along + half, _1
+            return d * along + half, _0 if along <= _0 and lamps[e, COS_OUTER] > -_1 else _1
         t = d * along - half
     cosine = lamps[e, AXIS_Z] * dx + lamps[e, AXIS_Z + 1] * dy + lamps[e, AXIS_Z + 2] * dz
     return t, spot_attenuation(lamps, e, cosine)

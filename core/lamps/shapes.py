@@ -38,6 +38,10 @@ _2PI = np.float32(2 * math.pi)
 _TINY = np.float32(1e-12)
 _INFINITY = np.float32(np.inf)
 
+# What a spot's inside counts to a point within, in directions that lead away from its centre: Cycles lets no ray meet it so
+# (kernel/light/spot.h), and its shadow rays leave half of a diffuse surface's light to such rays.
+AWAY_FROM_CENTRE = np.float32(0.5)
+
 _COPLANAR = np.float32(5e-7)  # a few roundings of a point's coordinates
 
 
@@ -139,7 +143,8 @@ def sample_point(lamps, i, soft, px, py, pz, nx, ny, nz, u1, u2):
         dx, dy, dz = to_world(lx, ly, lz, nx, ny, nz)
         along = dx * vx + dy * vy + dz * vz
         t = d * along + np.float32(math.sqrt(max(_0, r * r - d2 * (_1 - along * along))))
-        return dx, dy, dz, t, _PI / max(lz, np.float32(1e-6))
+        weight = _PI / max(lz, np.float32(1e-6))
+        return dx, dy, dz, t, weight * AWAY_FROM_CENTRE if along <= _0 and lamps[i, COS_OUTER] > -_1 else weight
     cosine = lamps[i, AXIS_Z] * dx + lamps[i, AXIS_Z + 1] * dy + lamps[i, AXIS_Z + 2] * dz
     return dx, dy, dz, t, weight * spot_attenuation(lamps, i, cosine)
 

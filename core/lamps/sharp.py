@@ -11,16 +11,19 @@ WIDEST_SUN = np.radians(2.0)  # angular diameter
 LARGEST = 0.01  # radius of a point or spot lamp, as a part of the diagonal of the scene
 
 
+def small_lamps(kind: np.ndarray, lamps: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """(A,) bool: which analytic lamps are small; kind (A,), lamps (A, LAMP) and box as in `Emitters`."""
+    size = float(np.linalg.norm(box[1] - box[0]))
+    return ((kind == SUN) & (lamps[:, ONE_MINUS_COS] <= 1 - np.cos(WIDEST_SUN / 2))) | (
+        np.isin(kind, (POINT, SPOT)) & (lamps[:, RADIUS] <= LARGEST * size)
+    )
+
+
 def sharp_emitters(emitters: Emitters, samples: int) -> np.ndarray | None:
     """Which emitters (E,) have sharp shadows, and a ray from every point of `samples`; None for none of them."""
-    kind, lamps = emitters.kind, emitters.lamps
-    size = float(np.linalg.norm(emitters.box[1] - emitters.box[0]))
-    small = np.zeros(len(kind), bool)
-    analytic = kind[: len(lamps)]
-    small[: len(lamps)] = ((analytic == SUN) & (lamps[:, ONE_MINUS_COS] <= 1 - np.cos(WIDEST_SUN / 2))) | (
-        np.isin(analytic, (POINT, SPOT)) & (lamps[:, RADIUS] <= LARGEST * size)
-    )
-    alone = np.zeros(len(kind), bool)
+    small = np.zeros(len(emitters.kind), bool)
+    small[: len(emitters.lamps)] = small_lamps(emitters.kind[: len(emitters.lamps)], emitters.lamps, emitters.box)
+    alone = np.zeros(len(emitters.kind), bool)
     alone[emitters.groups[emitters.groups >= 0]] = len(emitters.groups) <= samples
     sharp = small & alone
     return sharp if sharp.any() else None

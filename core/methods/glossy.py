@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from ..lamps.direct import aimed_density, direct_light, expected_samples, passed, set_point_lobe
+from ..lamps.direct import aimed_density, direct_light, expected_samples, is_turned, passed, set_point_lobe
 from ..lamps.lookup import emitter_of, lamp_along, share_of
-from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, WORLD
+from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, SHARP, WORLD
 from ..lamps.world import world_radiance
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
@@ -78,15 +78,15 @@ def _add_shining(shown, by_glass, i, c, clear, r, g, b):
 
 @leaf
 def _lamps_along(
-    scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, entered, wr, wg, wb,
+    scene, packet, rows, surface, expected, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, entered, wr, wg, wb,
     shown, by_glass, i,
 ):  # fmt: skip
     """Adds the radiance of the lamps along d, weighed by w and the share of rays drawn with the density `drawn`, to row i of `shown`, or of
-    `by_glass`.  Lamps hide nothing, neither each other nor what lies behind them.
+    `by_glass`.  Lamps hide nothing, neither each other nor what lies behind them.  turned: whether sharp ones have `highlights` there.
     """
     emitters = scene.emitters
     for e in range(len(emitters.source)):
-        if not emitters.flags[e] & SEEN_BY_GLOSSY:
+        if not emitters.flags[e] & SEEN_BY_GLOSSY or (turned and emitters.flags[e] & SHARP):
             continue
         t, w = lamp_along(emitters, e, x, y, z, dx, dy, dz)
         if not w > _0:
@@ -140,6 +140,7 @@ def _reflect_chunk(
         key = hash_combine(seed, i)
         entered = np.int64(points.entered[i])
         wide = (shared.gather[i] > 0 or shared.lights) and is_wide(lobe)
+        turned = is_turned(points, i)
         beneath = _THIRD * (points.albedo[i, 0] + points.albedo[i, 1] + points.albedo[i, 2])
         for s in range(n):
             index = first * n + s
@@ -151,7 +152,7 @@ def _reflect_chunk(
             vr, vg, vb = wr, wg, wb  # before what lies on the way
             rays += 1
             _lamps_along(
-                scene, packet, rows, surface, expected, drawn, x, y, z, error, gx, gy, gz, sx, sy, sz, dx,
+                scene, packet, rows, surface, expected, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx,
                 dy, dz, entered, wr, wg, wb, shown, known, i,
             )  # fmt: skip
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)

@@ -37,6 +37,7 @@ _THIRD = np.float32(1 / 3)
 _DIELECTRIC = np.float32(0.1)
 _SCHLICK_MEAN = np.float32(1 / 21)
 _SCHLICK_Z = np.float32(0.2**0.5)  # Schlick's term is that of an index of refraction of 1.5, nearly
+_BLUR = np.float32(math.pi / 4)
 # A lobe gets all of its rays once this times its share of the reflected light is 1.
 _FULL = np.float32(3.0)
 _GRAZING = np.float32(0.01)
@@ -172,6 +173,48 @@ def lobe_value(row, dx, dy, dz):
         w * (row[F0 + 2] + rise * row[RISE + 2]),
         d / (_1 + lambda_o),
     )
+
+
+@kernel
+def flattened_lobe(row, along, across, dx, dy, dz):
+    """As `lobe_value` (r, g, b in 1/sr), of normals that fill a rectangle of slopes about its own: along and across (3,) are its half axes.
+
+    Of the distribution of normals, in slopes (x, y) a^2 / (pi (a^2 + x^2 + y^2)^2), the tails are kept, as if h^2 + k^2 were added to
+    x^2 + y^2: the share a^2 / (a^2 + h^2 + k^2).  The rest is as bright as in its middle within the rectangle, and falls from its edges: that of max(|x| - h, 0) and
+    max(|y| - k, 0), over its integral 1 + (h + k) / a + 4 h k / (pi a^2), with h and k less than the half axes by up to pi a / 4, so that the
+    middle of a large rectangle is as bright as the mean.  Mirrors have such a lobe, too.
+    """
+    alpha = max(row[ALPHA], SMALLEST_ALPHA)
+    nx, ny, nz = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
+    cos_d = nx * dx + ny * dy + nz * dz
+    if cos_d <= _0:
+        return _0, _0, _0
+    hx, hy, hz = row[VIEWER] + dx, row[VIEWER + 1] + dy, row[VIEWER + 2] + dz
+    length2 = max(hx * hx + hy * hy + hz * hz, np.float32(1e-12))
+    cos_h = max(nx * hx + ny * hy + nz * hz, np.float32(1e-6))
+    sx, sy, sz = hx / cos_h - nx, hy / cos_h - ny, hz / cos_h - nz  # slopes
+    off = sx * sx + sy * sy + sz * sz
+    beyond = off
+    wide = np.float32(math.sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]))
+    thin = np.float32(math.sqrt(across[0] * across[0] + across[1] * across[1] + across[2] * across[2]))
+    inner, narrow = wide * wide / (wide + _BLUR * alpha), thin * thin / (thin + _BLUR * alpha)
+    if wide > _0:
+        x = abs(sx * along[0] + sy * along[1] + sz * along[2]) / wide
+        beyond -= x * x - max(x - inner, _0) ** 2
+    if thin > _0:
+        x = abs(sx * across[0] + sy * across[1] + sz * across[2]) / thin
+        beyond -= x * x - max(x - narrow, _0) ** 2
+    whole = _1 + (inner + narrow) / alpha + np.float32(4 / math.pi) * inner * narrow / (alpha * alpha)
+    a2, size2 = alpha * alpha, wide * wide + thin * thin
+    fall, tail = _1 + max(beyond, _0) / a2, _1 + (off + size2) / a2
+    cos2 = cos_h * cos_h / length2
+    kept = a2 / (a2 + size2)
+    far = (whole - _1) / max(whole - kept, np.float32(1e-6))  # of the tails: the rest has some, too
+    d = (_1 - far * kept) / (whole * fall * fall) + far / (tail * tail)
+    d *= _QUARTER * _1_PI / (a2 * cos2 * cos2 * row[COSINE])
+    rise = _fresnel_rise(_HALF * np.float32(math.sqrt(length2)), row[IOR])
+    w = d / (_1 + smith_lambda(row[COSINE], alpha) + smith_lambda(cos_d, alpha))
+    return w * (row[F0] + rise * row[RISE]), w * (row[F0 + 1] + rise * row[RISE + 1]), w * (row[F0 + 2] + rise * row[RISE + 2])
 
 
 @kernel

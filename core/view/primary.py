@@ -21,6 +21,7 @@ from ..lamps.groups import LightGroups
 from ..rays.packet import WIDTH, new_packet
 from ..references import Reference
 from ..sampling.hashing import uniform
+from ..sampling.maps import orthonormal_basis
 from ..scene import CAMERA, GLOSSY, TRANSLUCENT, Scene
 from ..surfaces.layout import SURFACE
 from ..surfaces.program import new_registers, with_viewer
@@ -60,6 +61,11 @@ from .tile import (
 )  # fmt: skip
 
 MOST_MIRRORED = 4  # surfaces that a pixel shows by way of mirrors: a curved one may show another in every sample, of which these are drawn
+# Squared half width of a pixel's normals over that of its lobe, and at least, from which on its highlights are found apart.
+TURNED, LEAST_TURNED = np.float32(0.2), np.float32(1e-7)
+WIDEST = np.float32(0.5)  # half width, as a tangent: beyond it a pixel shows most of a thing
+LEAST_MEMBERS = 4  # samples of a surface that tell how its normals are spread
+FLAT = np.float32(1e-9)  # squared distance of shading and geometric normal, at most, of a flat face
 EVEN = 4  # samples a pixel: fewer tell too little of what varies, and every pixel has the same
 
 
@@ -151,6 +157,46 @@ def _mirrored_light(tile, lane, begin, end):
 
 
 @leaf
+def _turn(sample, member, members, chosen, roughness, turned):
+    """Sets what `ShadingPoints.turned` says of a point's members, where their normals differ by more than little beside its lobe's width."""
+    ax = ay = az = np.float32(0.0)
+    for j in range(members):
+        own = sample[member[j]]
+        apart = np.float32(0.0)
+        for c in range(3):
+            apart += (own[SHADED + c] - own[FACING + c]) ** 2
+        if apart <= FLAT:  # normals of faces with an edge between them do not turn
+            return
+        ax, ay, az = ax + own[SHADED], ay + own[SHADED + 1], az + own[SHADED + 2]
+    length = np.float32(math.sqrt(ax * ax + ay * ay + az * az))
+    if members < LEAST_MEMBERS or length < np.float32(0.5) * np.float32(members):
+        return
+    ax, ay, az = ax / length, ay / length, az / length
+    tx, ty, tz, bx, by, bz = orthonormal_basis(ax, ay, az)
+    xx = xy = yy = np.float32(0.0)
+    for j in range(members):
+        own = sample[member[j]]
+        x = own[SHADED] * tx + own[SHADED + 1] * ty + own[SHADED + 2] * tz
+        y = own[SHADED] * bx + own[SHADED + 1] * by + own[SHADED + 2] * bz
+        xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
+    # Principal axes of the covariance; a uniform spread of half width h has the variance h^2 / 3.
+    scale = np.float32(3.0) / np.float32(members - 1)
+    xx, xy, yy = scale * xx, scale * xy, scale * yy
+    if xx + yy <= max(TURNED * roughness * roughness * roughness * roughness, LEAST_TURNED):
+        return
+    root = np.float32(math.sqrt(np.float32(0.25) * (xx - yy) * (xx - yy) + xy * xy))
+    middle = np.float32(0.5) * (xx + yy)
+    angle = np.float32(0.5 * math.atan2(np.float32(2.0) * xy, xx - yy))
+    c, s = np.float32(math.cos(angle)), np.float32(math.sin(angle))
+    wide = min(np.float32(math.sqrt(max(middle + root, np.float32(0.0)))), WIDEST)
+    thin = min(np.float32(math.sqrt(max(middle - root, np.float32(0.0)))), WIDEST)
+    own = sample[member[chosen]]
+    turned[0, 0], turned[0, 1], turned[0, 2] = ax - own[SHADED], ay - own[SHADED + 1], az - own[SHADED + 2]
+    turned[1, 0], turned[1, 1], turned[1, 2] = wide * (c * tx + s * bx), wide * (c * ty + s * by), wide * (c * tz + s * bz)
+    turned[2, 0], turned[2, 1], turned[2, 2] = thin * (c * bx - s * tx), thin * (c * by - s * ty), thin * (c * bz - s * tz)
+
+
+@leaf
 def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n_points):
     """Makes shading points of the surfaces that a pixel of the tile shows; how many there are then.
 
@@ -211,6 +257,8 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
             points.error[i] = max(points.error[i], sample[other, ERROR])
             for c in range(3):
                 points.spread[i, j, c] = sample[other, PLACE + c] - sample[best, PLACE + c]
+        if points.f0[i, 0] + points.f0[i, 1] + points.f0[i, 2] + points.f90[i, 0] + points.f90[i, 1] + points.f90[i, 2] > 0:
+            _turn(sample, member, members, chosen, group[k, G_ROUGHNESS] / group[k, MEMBERS], points.turned[i])
         points.pixel[i] = pixel
         points.triangle[i] = triangles[lane, best, 0]
         points.roughness[i] = group[k, G_ROUGHNESS] / group[k, MEMBERS]

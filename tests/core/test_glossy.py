@@ -17,7 +17,7 @@ from lumigate.core.pipeline import render
 from lumigate.core.rays import RayScene
 from lumigate.core.settings import RenderSettings
 from lumigate.core.surfaces.layout import DIFFUSE, GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE
-from lumigate.core.surfaces.lobes import LOBE, lobe_value, set_lobe
+from lumigate.core.surfaces.lobes import LOBE, flattened_lobe, lobe_value, set_lobe
 from lumigate.core.surfaces.program import new_registers
 from lumigate.core.transport import transport
 from lumigate.core.view.points import ShadingPoints
@@ -78,7 +78,7 @@ def points_at(n, roughness, cosine=0.7, f0=0.5, f90=1.0, albedo=0.0, position=(0
     return ShadingPoints(
         tile(position), np.full(n, 1e-6, F), up, up.copy(), np.zeros(n, np.int32), np.zeros(n, np.int32), tile((albedo,) * 3),
         tile(view_at(cosine)), tile((f0,) * 3), tile((f90,) * 3), np.full(n, roughness, F),
-        np.zeros(n, np.uint8), np.zeros((n, 3, 3), F), np.zeros(n, F), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
+        np.zeros(n, np.uint8), np.zeros((n, 3, 3), F), np.zeros((n, 3, 3), F), np.zeros(n, F), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
     )  # fmt: skip
 
 
@@ -140,6 +140,30 @@ def test_reflection_dips_never_below_the_surface():
     n = row[0:3].astype(float)
     assert np.linalg.norm(n) == pytest.approx(1, abs=1e-5)
     assert (2 * (wo @ n) * n - wo)[2] == pytest.approx(0.01, abs=1e-3)
+
+
+def lobe_at(slopes, roughness, view):
+    """White lobes (N, LOBE) of normals at the slopes (N, 2)."""
+    rows = np.zeros((len(slopes), LOBE), F)
+    normals = np.column_stack([-slopes, np.ones(len(slopes))])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    one = F(1)
+    for row, n in zip(rows, normals.astype(F)):
+        set_lobe(row, *n, F(0), F(0), one, *(F(c) for c in view), F(roughness), one, one, one, one, one, one)
+    return rows
+
+
+@pytest.mark.parametrize("widths", [(0.05, 0.02), (0.05, 0.0), (0.01, 0.01), (0.01, 0.0), (0.0, 0.0)])
+def test_the_lobe_of_normals_that_fill_a_rectangle_is_their_mean(widths):
+    roughness, view, n = 0.1, view_at(0.8), 161
+    grid = (np.arange(n) + 0.5) / n * 2 - 1
+    rows = lobe_at(np.stack(np.meshgrid(widths[0] * grid, widths[1] * grid), -1).reshape(-1, 2), roughness, view)
+    along, across = np.array([widths[0], 0, 0], F), np.array([0, widths[1], 0], F)
+    for x, y, tolerance in ((0, 0, 0.3), (0.4, -0.2, 0.3), (-0.5, 0, 0.3), (5, 9, 0.1), (-6, 0, 0.1)):
+        h = np.array([x * widths[0], y * widths[1], 1.0]) / math.sqrt(1 + (x * widths[0]) ** 2 + (y * widths[1]) ** 2)
+        d = (2 * (h @ view) * h - view).astype(F)
+        mean = np.mean([lobe_value(row, *d)[0] for row in rows])
+        assert flattened_lobe(lobe_at(np.zeros((1, 2)), roughness, view)[0], along, across, *d)[0] == pytest.approx(mean, rel=tolerance)
 
 
 # -- emitters met by chance --------------------------------------------------------------------------------

@@ -10,8 +10,11 @@ from lumigate.core import scene as sc
 from lumigate.core.jit import kernel
 from lumigate.core.lamps import build_emitters, direct_irradiance
 from lumigate.core.lamps.direct import direct_irradiance_at
-from lumigate.core.lamps.emission import emit, focused
+from lumigate.core.lamps.emission import FOR_EVER, emit, focused
 from lumigate.core.lamps.sample import sample_emitter
+from lumigate.core.lamps.shapes import AWAY_FROM_CENTRE
+from lumigate.core.lamps.tables import WITHIN
+from lumigate.core.lamps.within import share_within
 from lumigate.core.rays import RayScene, new_packet
 from lumigate.core.sampling.sequences import sobol
 from lumigate.core.surfaces.layout import SURFACE, TRANSPARENCY
@@ -553,11 +556,11 @@ def test_single_rays_have_the_same_mean():
 
 @kernel
 def _emit_many(emitters, count, seed, plane, cells, half, deposit, power, hits):
-    """Particles onto the square |x|, |y| < half of the plane z = plane; deposit: (cells, cells, 3) W."""
+    """Particles onto the square |x|, |y| < half of the plane z = plane, where nothing else is; deposit: (cells, cells, 3) W."""
     rows = new_registers(emitters.materials)
     surface = np.zeros(SURFACE, np.float32)
     for i in range(count):
-        e, x, y, z, dx, dy, dz, r, g, b, near = emit(
+        e, x, y, z, dx, dy, dz, r, g, b, near, far, before = emit(
             emitters, rows, surface, (i + 0.5) / count, sobol(i, 1, seed), sobol(i, 2, seed), sobol(i, 3, seed), sobol(i, 4, seed)
         )
         if e < 0:
@@ -571,7 +574,9 @@ def _emit_many(emitters, count, seed, plane, cells, half, deposit, power, hits):
         t = (plane - z) / dz
         u = (x + t * dx + half) / (2 * half) * cells
         v = (y + t * dy + half) / (2 * half) * cells
-        if t >= near and 0 <= u < cells and 0 <= v < cells:
+        if emitters.kind[e] == sc.SPOT and 2 * t < far < FOR_EVER:
+            r, g, b = AWAY_FROM_CENTRE * r, AWAY_FROM_CENTRE * g, AWAY_FROM_CENTRE * b
+        if before + near <= t <= far and 0 <= u < cells and 0 <= v < cells:
             deposit[int(v), int(u), 0] += r / count
             deposit[int(v), int(u), 1] += g / count
             deposit[int(v), int(u), 2] += b / count
@@ -628,6 +633,35 @@ def test_particles_carry_the_light_that_direct_light_finds(name):
     assert np.abs(hits - share * 2**20).max() <= 1
     assert abs(found.sum() / expected.sum() - 1) < 5e-3
     assert np.abs(found - expected).max() < 0.015 * expected.max()
+
+
+CUT = {
+    "point": lamp(sc.POINT, (10, 5, 2), (0.3, 0.2, 0.5), radius=1.2),
+    "soft": lamp(sc.POINT, (10, 5, 2), (0.3, 0.2, 0.5), radius=1.2, soft=1),
+    "spot": lamp(sc.SPOT, 10, (0.3, 0.2, 0.5), (-0.2, -0.1, -1), angle=1.6, blend=0.5, radius=1.2),
+    "soft spot": lamp(sc.SPOT, 10, (0.3, 0.2, 0.5), (-0.2, -0.1, -1), angle=1.6, blend=0.5, radius=1.2, soft=1),
+}
+
+
+@pytest.mark.parametrize("name", CUT)
+def test_particles_of_lamps_that_reach_through_the_plane(name):
+    # Points within a sphere see its inside, which sends particles inwards; of a spot in all directions.
+    light = lit(CUT[name])
+    expected = cell_irradiance(light)
+    found, _, _ = emitted(light.emitters, 2**20)
+    assert light.emitters.lamps[0, WITHIN] > 0.3
+    assert abs(found.sum() / expected.sum() - 1) < 5e-3
+    assert np.abs(found - expected).max() < 0.03 * expected.max()  # cells at a sphere's rim are half within
+
+
+def test_what_lies_within_spheres():
+    corners = np.array([[-9, -9, 1], [9, -9, 1], [0, 12, 1]], float)
+    position, radius = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 3], [0, 0, 2]], float), np.array([0.9, 2.0, 1.9, 0.0])
+    # A plane at height h cuts a disk of area pi (r^2 - h^2) out of a sphere of surface S, and meets 2 A / S of its chords.
+    assert share_within(geometry(corners, [[0, 1, 2]]), position, radius) == pytest.approx([0, (4 - 1) / (2 * 4), 0, 0])
+    small = geometry(1e-2 * corners + np.array([0.3, 0, 0]), [[0, 1, 2]])
+    area = 0.5e-4 * 18 * 21
+    assert share_within(small, position[:1], np.array([0.5])) == pytest.approx([area / (2 * np.pi * 0.25)], rel=1e-5)
 
 
 @pytest.mark.parametrize("name", ["sun", "sharp sun", "constant world", "world", "all"])

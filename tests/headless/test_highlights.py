@@ -1,0 +1,68 @@
+"""Highlights of a sun and a small lamp on balls and handles of ten pixels, against Cycles."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+
+from lumigate.addon.extract import extract_scene
+from lumigate.core.pipeline import render
+from lumigate.core.settings import RenderSettings
+from lumigate.headless.reference import ReferenceSettings, render_layers
+
+SIZE = (120, 40)
+
+
+def material(name, **inputs):
+    made = bpy.data.materials.new(name)
+    if made.node_tree is None:  # Blender 4.5
+        made.use_nodes = True
+    principled = next(node for node in made.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    for key, value in inputs.items():
+        principled.inputs[key.replace("_", " ")].default_value = value
+    return made
+
+
+def link(scene, name, data, location, rotation=(0.0, 0.0, 0.0)):
+    made = bpy.data.objects.new(name, data)
+    made.location, made.rotation_euler = location, rotation
+    scene.collection.objects.link(made)
+    return made
+
+
+def small_things():
+    """A row of steel balls over a row of steel handles, of roughness .1 to .3, and nothing else to be seen."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    for k in range(8):
+        steel = material(f"Steel {k}", Base_Color=(0.8, 0.8, 0.8, 1), Metallic=1.0, Roughness=(0.1, 0.15, 0.2, 0.3)[k % 4])
+        x = 0.3 * k - 1.05
+        bpy.ops.mesh.primitive_uv_sphere_add(segments=32, ring_count=16, radius=0.1, location=(x, 0, 0.15))
+        bpy.ops.object.shade_smooth()
+        bpy.context.object.data.materials.append(steel)
+        bpy.ops.mesh.primitive_cylinder_add(vertices=32, radius=0.03, depth=0.2, location=(x, 0, -0.15), rotation=(0.2 * k, 0.7, 0.3 * k))
+        bpy.ops.object.shade_smooth()
+        bpy.context.object.data.materials.append(steel)
+    sun, lamp = bpy.data.lights.new("Sun", "SUN"), bpy.data.lights.new("Lamp", "POINT")
+    sun.energy, sun.angle = 3.0, math.radians(0.53)
+    lamp.energy, lamp.shadow_soft_size = 100.0, 0.01
+    link(scene, "Sun", sun, (0, 0, 5), (0.6, 0.4, 0.0))
+    link(scene, "Lamp", lamp, (-1.5, -3, 0.5))
+    camera = bpy.data.cameras.new("Camera")
+    camera.type, camera.ortho_scale = "ORTHO", 2.4
+    scene.camera = link(scene, "Camera", camera, (0, -4, 0), (math.pi / 2, 0, 0))
+    return scene
+
+
+@pytest.mark.slow
+def test_small_things_shine():
+    scene = small_things()
+    reference, _ = render_layers(scene, ReferenceSettings(spp=1024, size=SIZE, bounces=0))
+    expected = reference["Direct"].astype(float)
+    arrays = extract_scene(scene, size=SIZE)
+    ours = [render(arrays, RenderSettings(method="importance-sampling", bounces=0, seed=seed)).layers["Direct"] for seed in range(4)]
+    # Before, most of it was smoothed away.
+    assert np.mean(ours) == pytest.approx(expected.mean(), rel=0.08)
+    for found in ours:
+        assert np.sqrt(np.mean((found - expected) ** 2)) < 0.6 * np.sqrt(np.mean(expected**2))
