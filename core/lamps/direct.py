@@ -411,7 +411,7 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
     if cosine <= _0 or not max(r, g, b) > _0:
         return n
     if across <= _0:  # from below the facet, yet above the smooth surface: by this ray alone, for no gather ray or ray of a lobe goes there
-        if points.tilt[i] > _0 or emitters.kind[e] == WORLD:
+        if points.tilt[i] > _0 or points.triangle[i] < 0 or emitters.kind[e] == WORLD:
             return n
     elif points.gathered[i] > 0 and emitters.kind[e] == TRIANGLE:
         w *= share_of(
