@@ -23,7 +23,7 @@ from .filling import denoised, extended, surroundings, without_strays
 from .seams import find_seams, stitched
 
 TEXEL_RAYS = 3  # of each shading point of a texel, for each of a pixel's: texels are looked at from near by
-CORNER_RAYS = 2  # of each shading point of a colour attribute's corner, likewise: no denoiser sees them
+CORNER_RAYS = 2  # of each of a corner's shading points, likewise: they are few, and no denoiser sees them
 DENOISING = "fast"  # half the time of "high" at the same error (docs/lightmaps.md)
 
 

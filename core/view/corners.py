@@ -38,7 +38,7 @@ def view_corners(
         room = ShadingPoints.allocate((end - begin) * samples * (1 + is_translucent(scene)))
         inside = np.repeat(found[begin:end, None], samples, axis=1)
         n, rays = shade_rows(
-            scene, triangles, footprint, inside, weights[begin:end], begin, 1, np.uint32(seed), materials, room, state, layers
+            scene, triangles, footprint, inside, weights[begin:end], begin, 1, np.uint32(seed), materials, True, room, state, layers
         )
         return room.first(n), rays
 

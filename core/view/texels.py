@@ -246,8 +246,11 @@ def _cosine(normals, i, j):
 
 
 @leaf
-def _draw(at, flags, seed, texel):
-    """Sorts the samples that count by the surfaces that they show, and draws one of each, which stands for all: right in the mean."""
+def _draw(at, flags, apart, seed, texel):
+    """Sorts the samples that count by the surfaces that they show, and draws one of each, which stands for all: right in the mean.
+
+    apart: each stands for itself.
+    """
     n = len(at.valid)
     for s in range(n):
         at.first[s], at.standing[s] = -1, 0
@@ -255,7 +258,7 @@ def _draw(at, flags, seed, texel):
         if not at.valid[s] or at.first[s] >= 0:
             continue
         members = 0
-        alone = flags[at.material[s]] & NORMAL_MAPPED != 0  # whose normals differ from sample to sample
+        alone = apart or flags[at.material[s]] & NORMAL_MAPPED != 0  # whose normals differ from sample to sample
         for other in range(s, n):
             if other != s and (
                 alone
@@ -323,10 +326,10 @@ def _add_other_side(points, i, share, r, g, b, tr, tg, tb):
 
 
 @kernel
-def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, materials, points, state, layers):
+def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, materials, apart, points, state, layers):
     """Points and layers of the texels whose samples are given (as by `cover`); the numbers of points and rays.
 
-    materials: whether to read albedo and emission.  points: room for one a sample, for two where there are translucent materials.
+    materials: whether to read albedo and emission.  apart: whether each sample has a point of its own.  points: room for one a sample, for two where there are translucent materials.
     """
     samples = found.shape[1]
     packet = new_packet()
@@ -355,7 +358,7 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
         state[texel] = LIT
         if samples > 1:
             rays += _drop_beyond_walls(scene, packet, at, np.uint32(seed), texel)
-        _draw(at, scene.materials.flags, np.uint32(seed), texel)
+        _draw(at, scene.materials.flags, apart, np.uint32(seed), texel)
         share = _1 / np.float32(at.valid.astype(np.int64).sum())
         out = layers[texel]
         for s in range(samples):
@@ -438,7 +441,7 @@ def view_texels(
         cover(charts.uv, begin, end, width, samples, np.uint32(seed), found, weights)
         room = ShadingPoints.allocate(int((found >= 0).sum()) * (1 + is_translucent(scene)))
         n, rays = shade_rows(
-            scene, charts.triangle, footprint, found, weights, begin, width, np.uint32(seed), materials, room, state, layers
+            scene, charts.triangle, footprint, found, weights, begin, width, np.uint32(seed), materials, False, room, state, layers
         )
         return room.first(n), rays
 
