@@ -61,8 +61,6 @@ from .tile import (
 )  # fmt: skip
 
 MOST_MIRRORED = 4  # surfaces that a pixel shows by way of mirrors: a curved one may show another in every sample, of which these are drawn
-# Squared half width of a pixel's normals over that of its lobe, and at least, from which on its highlights are found apart.
-TURNED, LEAST_TURNED = np.float32(0.2), np.float32(1e-7)
 WIDEST = np.float32(0.5)  # half width, as a tangent: beyond it a pixel shows most of a thing
 LEAST_MEMBERS = 4  # samples of a surface that tell how its normals are spread
 FLAT = np.float32(1e-9)  # squared distance of shading and geometric normal, at most, of a flat face
@@ -157,8 +155,11 @@ def _mirrored_light(tile, lane, begin, end):
 
 
 @leaf
-def _turn(sample, member, members, chosen, roughness, turned):
-    """Sets what `ShadingPoints.turned` says of a point's members, where their normals differ by more than little beside its lobe's width."""
+def _turn(sample, member, members, chosen, turned):
+    """Sets what `ShadingPoints.turned` says of a point's members, where their normals differ.
+
+    By however little: were it a matter of degree, it would be one of chance, and the denoiser would see holes where highlights are kept from it.
+    """
     ax = ay = az = np.float32(0.0)
     for j in range(members):
         own = sample[member[j]]
@@ -182,7 +183,7 @@ def _turn(sample, member, members, chosen, roughness, turned):
     # Principal axes of the covariance; a uniform spread of half width h has the variance h^2 / 3.
     scale = np.float32(3.0) / np.float32(members - 1)
     xx, xy, yy = scale * xx, scale * xy, scale * yy
-    if xx + yy <= max(TURNED * roughness * roughness * roughness * roughness, LEAST_TURNED):
+    if not xx + yy > 0:
         return
     root = np.float32(math.sqrt(np.float32(0.25) * (xx - yy) * (xx - yy) + xy * xy))
     middle = np.float32(0.5) * (xx + yy)
@@ -258,7 +259,7 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
             for c in range(3):
                 points.spread[i, j, c] = sample[other, PLACE + c] - sample[best, PLACE + c]
         if points.f0[i, 0] + points.f0[i, 1] + points.f0[i, 2] + points.f90[i, 0] + points.f90[i, 1] + points.f90[i, 2] > 0:
-            _turn(sample, member, members, chosen, group[k, G_ROUGHNESS] / group[k, MEMBERS], points.turned[i])
+            _turn(sample, member, members, chosen, points.turned[i])
         points.pixel[i] = pixel
         points.triangle[i] = triangles[lane, best, 0]
         points.roughness[i] = group[k, G_ROUGHNESS] / group[k, MEMBERS]
