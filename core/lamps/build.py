@@ -200,7 +200,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
     box = _box(scene)
     source, kind, flags, radiance, flux, bounds, lamps = _lamps(scene, ray_kind, box)
     spheres = np.flatnonzero((kind == POINT) | (kind == SPOT))
-    lamps[spheres, WITHIN] = share_within(scene.geometry, lamps[spheres, POSITION : POSITION + 3], lamps[spheres, RADIUS])
+    lamps[spheres, WITHIN] = share_within(scene.geometry, lamps[spheres, POSITION : POSITION + 3], lamps[spheres, RADIUS], threads)
     triangle, material, mesh_flags, mesh_radiance, mesh_flux, mesh_bounds, shapes = _mesh(scene, ray_kind, threads)
     world = no_world()
     parts = [(kind, flags, radiance, flux, bounds, groups.lamps[source])]

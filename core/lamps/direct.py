@@ -374,7 +374,7 @@ def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, bloc
 
 @inlined
 def is_turned(points, i):
-    """Whether the normals of point i differ so much that `highlights` are found apart."""
+    """Whether the normals of point i differ, so that `highlights` are found apart."""
     for j in range(points.turned.shape[1]):
         if points.turned[i, j, 0] != _0 or points.turned[i, j, 1] != _0 or points.turned[i, j, 2] != _0:
             return True

@@ -8,6 +8,9 @@ import numpy as np
 
 from ..jit import kernel
 from ..scene import DIFFUSE, Geometry
+from ..threads import run_chunks
+
+CHUNK = 64  # lamps
 
 
 @kernel
@@ -64,15 +67,19 @@ def _areas(vertices, triangles, taken, position, radius, out):
                 out[i] += min(area, math.pi * rest)
 
 
-def share_within(geometry: Geometry, position: np.ndarray, radius: np.ndarray) -> np.ndarray:
+def share_within(geometry: Geometry, position: np.ndarray, radius: np.ndarray, threads: int = 0) -> np.ndarray:
     """About which share (0..1) of the chords of each sphere meets a surface; 0 only where none lies within.
 
     position: (L, 3) m.  radius: (L,) m.  A surface of area A cuts 2 A / S of the chords of a sphere of surface S, on average.
     """
     area = np.zeros(len(radius))
     taken = (geometry.object_visibility[geometry.object] & DIFFUSE) > 0
+    position, radius = position.astype(np.float64), radius.astype(np.float64)
     if (radius > 0).any():
-        _areas(
-            geometry.vertices.astype(np.float64), geometry.triangles, taken, position.astype(np.float64), radius.astype(np.float64), area
-        )
-    return np.minimum(1.0, area / np.maximum(2 * np.pi * radius.astype(np.float64) ** 2, 1e-30))
+        vertices = geometry.vertices.astype(np.float64)
+
+        def work(begin, end):
+            _areas(vertices, geometry.triangles, taken, position[begin:end], radius[begin:end], area[begin:end])
+
+        run_chunks(work, len(radius), CHUNK, threads)
+    return np.minimum(1.0, area / np.maximum(2 * np.pi * radius**2, 1e-30))

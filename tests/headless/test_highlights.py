@@ -11,24 +11,9 @@ from lumigate.core.pipeline import render
 from lumigate.core.settings import RenderSettings
 from lumigate.headless.reference import ReferenceSettings, render_layers
 
+from .test_direct_light import lamp, look, material
+
 SIZE = (120, 40)
-
-
-def material(name, **inputs):
-    made = bpy.data.materials.new(name)
-    if made.node_tree is None:  # Blender 4.5
-        made.use_nodes = True
-    principled = next(node for node in made.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    for key, value in inputs.items():
-        principled.inputs[key.replace("_", " ")].default_value = value
-    return made
-
-
-def link(scene, name, data, location, rotation=(0.0, 0.0, 0.0)):
-    made = bpy.data.objects.new(name, data)
-    made.location, made.rotation_euler = location, rotation
-    scene.collection.objects.link(made)
-    return made
 
 
 def small_things():
@@ -44,14 +29,9 @@ def small_things():
         bpy.ops.mesh.primitive_cylinder_add(vertices=32, radius=0.03, depth=0.2, location=(x, 0, -0.15), rotation=(0.2 * k, 0.7, 0.3 * k))
         bpy.ops.object.shade_smooth()
         bpy.context.object.data.materials.append(steel)
-    sun, lamp = bpy.data.lights.new("Sun", "SUN"), bpy.data.lights.new("Lamp", "POINT")
-    sun.energy, sun.angle = 3.0, math.radians(0.53)
-    lamp.energy, lamp.shadow_soft_size = 100.0, 0.01
-    link(scene, "Sun", sun, (0, 0, 5), (0.6, 0.4, 0.0))
-    link(scene, "Lamp", lamp, (-1.5, -3, 0.5))
-    camera = bpy.data.cameras.new("Camera")
-    camera.type, camera.ortho_scale = "ORTHO", 2.4
-    scene.camera = link(scene, "Camera", camera, (0, -4, 0), (math.pi / 2, 0, 0))
+    lamp(scene, "SUN", (0, 0, 5), (0.6, 0.4, 0.0), energy=3.0, angle=math.radians(0.53))
+    lamp(scene, "POINT", (-1.5, -3, 0.5), energy=100.0, shadow_soft_size=0.01)
+    look(scene, (0, -4, 0), (math.pi / 2, 0, 0), type="ORTHO", ortho_scale=2.4)
     return scene
 
 

@@ -11,6 +11,8 @@ from lumigate.core.pipeline import render
 from lumigate.core.settings import RenderSettings
 from lumigate.headless.reference import ReferenceSettings, render_layers
 
+from .test_direct_light import lamp, look, material
+
 SIZE = (48, 27)
 
 
@@ -18,26 +20,13 @@ def room(lamp_type, radius, soft):
     """A closed room of 3 m with a box in it, and a lamp that reaches through what is near."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    grey = bpy.data.materials.new("Grey")
-    if grey.node_tree is None:  # Blender 4.5
-        grey.use_nodes = True
-    principled = next(node for node in grey.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    principled.inputs["Base Color"].default_value = (0.6, 0.5, 0.4, 1)
-    principled.inputs["Specular IOR Level"].default_value = 0.0
+    grey = material("Grey", Base_Color=(0.6, 0.5, 0.4, 1), Specular_IOR_Level=0.0)
     for size, location in ((3, (0, 0, 1.5)), (0.7, (0.6, 0.5, 0.35))):
         bpy.ops.mesh.primitive_cube_add(size=size, location=location)
         bpy.context.object.data.materials.append(grey)
-    light = bpy.data.lights.new("Lamp", lamp_type)
-    light.energy, light.shadow_soft_size, light.use_soft_falloff = 100, radius, soft
-    if lamp_type == "SPOT":
-        light.spot_size, light.spot_blend = 1.6, 0.4
-    placed = bpy.data.objects.new("Lamp", light)
-    placed.location, placed.visible_camera = (0.3, -0.2, 2.0), False
-    scene.collection.objects.link(placed)
-    scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    scene.camera.location, scene.camera.rotation_euler = (-1.2, -1.3, 1.6), (math.radians(75), 0, math.radians(-43))
-    scene.camera.data.lens = 18
-    scene.collection.objects.link(scene.camera)
+    cone = {"spot_size": 1.6, "spot_blend": 0.4} if lamp_type == "SPOT" else {}
+    lamp(scene, lamp_type, (0.3, -0.2, 2.0), energy=100, seen=False, shadow_soft_size=radius, use_soft_falloff=soft, **cone)
+    look(scene, (-1.2, -1.3, 1.6), (math.radians(75), 0, math.radians(-43)), lens=18)
     return scene
 
 
