@@ -37,7 +37,7 @@ from ..surfaces.layout import (
     glossy_albedo,
     translucency,
 )
-from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, reflection_count, sample_lobe
+from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, lobe_cosine, reflection_count, sample_lobe
 from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import evaluate, from_within, new_registers, specular_view
 from ..surfaces.visibility import OUTSIDE, nearest_surface
@@ -181,9 +181,9 @@ def _reflect_chunk(
                 evaluate(scene.materials, material, scene.attributes, triangle, u, v, view, rows, surface)
             if flags & NORMAL_MAPPED:
                 nx, ny, nz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
-                cosine = min(_1, abs(nx * dx + ny * dy + nz * dz))
             if behind:
                 hx, hy, hz, nx, ny, nz = -hx, -hy, -hz, -nx, -ny, -nz
+            cosine = lobe_cosine(nx, ny, nz, hx, hy, hz, -dx, -dy, -dz)
             if flags & EMISSIVE:
                 e = emitter_of(emitters, triangle)
                 share = _1

@@ -25,7 +25,7 @@ from ..scene import DIFFUSE, GLOSSY, TRANSMISSION
 from ..surfaces import layout
 from ..surfaces.bumps import shadowing
 from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TILT, WIDE, diffuse_albedo, glossy_rise, translucency
-from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, sample_lobe, set_lobe
+from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, lobe_cosine, sample_lobe, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
@@ -58,7 +58,7 @@ def scatter_light(
 
     Returns (dx, dy, dz, wr, wg, wb, kinds): the ray's direction, its weight and its kind, 0 where there is none.
     """
-    cosine = min(_1, abs(sx * wx + sy * wy + sz * wz))
+    cosine = lobe_cosine(sx, sy, sz, gx, gy, gz, wx, wy, wz)
     dr, dg, db = diffuse_albedo(surface, cosine)
     tr, tg, tb = translucency(surface, cosine)
     roughness, tilt = surface[ROUGHNESS], surface[TILT]

@@ -72,6 +72,13 @@ def specular_normal(nx, ny, nz, gx, gy, gz, ox, oy, oz):
     return aside * tx + along * gx, aside * ty + along * gy, aside * tz + along * gz
 
 
+@inlined
+def lobe_cosine(nx, ny, nz, gx, gy, gz, ox, oy, oz):
+    """Cosine (0..1) between the view o and the normal that lobes have, on one side of the surface: by it they take their share of what lies below."""
+    nx, ny, nz = specular_normal(nx, ny, nz, gx, gy, gz, ox, oy, oz)
+    return min(max(ox * nx + oy * ny + oz * nz, _0), _1)
+
+
 @kernel
 def set_lobe(row, nx, ny, nz, gx, gy, gz, ox, oy, oz, roughness, f0r, f0g, f0b, f90r, f90g, f90b):
     """Fill a row with the lobe of a surface: shading and geometric normal n and g and the view o on one side.

@@ -38,7 +38,7 @@ from ..surfaces.layout import (
     largest_kept,
     translucency,
 )
-from ..surfaces.lobes import ALPHA, LOBE, sample_lobe, set_lobe
+from ..surfaces.lobes import ALPHA, LOBE, lobe_cosine, sample_lobe, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import evaluate, from_within, specular_view
 from ..surfaces.visibility import passed_glass
@@ -242,15 +242,15 @@ def _reflected(materials, geometry, material, triangle, u, v, dx, dy, dz, kind, 
     if surface[ROUGHNESS] > POLISHED:
         return False, x, y, z, dx, dy, dz, _0, _0, _0
     sx, sy, sz = mapped_normal(materials, material, surface, sx, sy, sz)
-    cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
+    if behind:
+        gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+    cosine = lobe_cosine(sx, sy, sz, gx, gy, gz, -dx, -dy, -dz)
     fr, fg, fb = glossy_albedo(surface, cosine)
     ar, ag, ab = diffuse_albedo(surface, cosine)
     tr, tg, tb = translucency(surface, cosine)
     shiny = fr + fg + fb
     if not shiny > SHINY * (shiny + ar + ag + ab + tr + tg + tb):
         return False, x, y, z, dx, dy, dz, _0, _0, _0
-    if behind:
-        gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
     set_lobe(
         lobe, sx, sy, sz, gx, gy, gz, -dx, -dy, -dz, surface[ROUGHNESS],
         surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2], surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2],
@@ -476,13 +476,13 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
             behind = gx * dx + gy * dy + gz * dz > 0
             cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
-            view_cosine = _signed(materials.flags[material[triangle]], cosine, behind, tile.kinds[pixel, s], tile.entered[pixel, s])
-            evaluate(materials, material[triangle], attributes, triangle, u, v, view_cosine, rows, surface)
+            signed = _signed(materials.flags[material[triangle]], cosine, behind, tile.kinds[pixel, s], tile.entered[pixel, s])
+            evaluate(materials, material[triangle], attributes, triangle, u, v, signed, rows, surface)
             if materials.flags[material[triangle]] & NORMAL_MAPPED:
                 sx, sy, sz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
-                cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
             if behind:
                 gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+            cosine = lobe_cosine(sx, sy, sz, gx, gy, gz, -dx, -dy, -dz)
             if not (behind and materials.flags[material[triangle]] & REFRACTIVE):
                 tile.entered[pixel, s] = 0
             ar, ag, ab = diffuse_albedo(surface, cosine)

@@ -1,0 +1,42 @@
+"""A varnished floor whose normal map leans away from the camera, under an even sky, against Cycles."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+
+from lumigate.addon.extract import extract_scene
+from lumigate.core.pipeline import render
+from lumigate.core.settings import RenderSettings
+from lumigate.headless.reference import ReferenceSettings, render_layers
+
+from .test_direct_light import look, material, quad
+
+SIZE = (16, 9)
+
+
+def leaning(y, z):
+    """A floor that looks as if its normal were (0, y, z), seen by a camera from (0, -.8, .6)."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    varnish = material("Varnish", Base_Color=(0.7, 0.7, 0.7, 1), Roughness=0.3)
+    lean = varnish.node_tree.nodes.new("ShaderNodeNormalMap")
+    lean.space = "WORLD"
+    lean.inputs["Color"].default_value = (0.5, 0.5 + 0.5 * y, 0.5 + 0.5 * z, 1)
+    varnish.node_tree.links.new(lean.outputs[0], varnish.node_tree.nodes["Principled BSDF"].inputs["Normal"])
+    quad(scene, [(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)], varnish)
+    scene.world = bpy.data.worlds.new("Sky")
+    scene.world.color = (1, 1, 1)
+    look(scene, (0, -4, 3), (math.acos(0.6), 0, 0), lens=85)
+    return scene
+
+
+@pytest.mark.parametrize("normal", [(0.3, 0.954), (0.6, 0.8), (0.8, 0.6)], ids=["seen", "edge on", "from below"])
+def test_varnish_takes_its_share_by_the_bent_normal(normal):
+    """Seen edge on, a varnish would reflect all; Cycles bends its normal until what it reflects lies above the floor."""
+    scene = leaning(*normal)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=SIZE, bounces=0))
+    found = render(extract_scene(scene, size=SIZE), RenderSettings(method="importance-sampling", bounces=0)).layers
+    assert np.mean(found["Direct"]) == pytest.approx(np.mean(reference["Direct"]), rel=0.02)
+    assert np.mean(found["Albedo"]) == pytest.approx(np.mean(reference["Albedo"]), rel=0.02)
