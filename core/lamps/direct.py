@@ -408,11 +408,8 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
     sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
     gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
     cosine, across = sx * dx + sy * dy + sz * dz, gx * dx + gy * dy + gz * dz
-    lobed = block.lobe[k, ALPHA] > _0 and shine > _0
-    # Below a bump's normal there is light for its lobe, whose normal is bent towards the view.
-    if not max(r, g, b) > _0 or (cosine <= _0 and not (lobed and points.tilt[i] > _0)):
+    if cosine <= _0 or not max(r, g, b) > _0:
         return n
-    cosine = max(cosine, _0)
     if across <= _0:  # from below the facet, yet above the smooth surface: by this ray alone, for no gather ray or ray of a lobe goes there
         if points.tilt[i] > _0 or points.triangle[i] < 0 or emitters.kind[e] == WORLD:
             return n
@@ -424,7 +421,7 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
     if points.tilt[i] > _0:  # in place of the mean, which is in the albedo
         cosine *= shadowing(points.tilt[i], gx * dx + gy * dy + gz * dz) / mean_shadowing(points.tilt[i])
     light[0], light[1], light[2] = w * cosine * r, w * cosine * g, w * cosine * b
-    if lobed and not (emitters.flags[e] & SHARP and is_turned(points, i)):
+    if block.lobe[k, ALPHA] > _0 and shine > _0 and not (emitters.flags[e] & SHARP and is_turned(points, i)):
         drawn = block.drawn[k] if across > _0 else np.int64(0)
         fr, fg, fb = _lobe_share(emitters, e, block.lobe[k], drawn, block.expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
         glossy[0], glossy[1], glossy[2] = shine * fr * r, shine * fg * g, shine * fb * b
