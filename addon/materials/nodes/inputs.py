@@ -140,7 +140,7 @@ _RAYS = {
     "Is Camera Ray": CAMERA,
     "Is Diffuse Ray": DIFFUSE,
     "Is Glossy Ray": GLOSSY,
-    "Is Reflection Ray": GLOSSY,
+    "Is Reflection Ray": DIFFUSE | GLOSSY,
     "Is Singular Ray": GLOSSY | TRANSMISSION,
     "Is Transmission Ray": TRANSMISSION,
     "Ray Length": _ANY,
