@@ -32,6 +32,7 @@ from ..surfaces.bumps import mean_shadowing, shadowing
 from ..surfaces.layout import EMISSION, SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count, set_lobe
 from ..surfaces.program import new_registers
+from ..surfaces.rough_diffuse import shape
 from ..surfaces.terminator import LOW, lift
 from ..surfaces.visibility import OUTSIDE, nearest_surface, transmittance1
 from ..threads import Progress, run_chunks
@@ -79,6 +80,7 @@ class Receivers(NamedTuple):
     spread: np.ndarray
     turned: np.ndarray
     tilt: np.ndarray
+    rough: np.ndarray
     entered: np.ndarray
     gathered: np.ndarray
     met: np.ndarray
@@ -373,6 +375,20 @@ def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, bloc
 
 
 @inlined
+def _unevenness(points, i, dx, dy, dz):
+    """What point i reflects of diffuse light from direction d over what its albedo says, which is the mean over all directions."""
+    factor = _1
+    if points.tilt[i] > _0:
+        across = points.ng[i, 0] * dx + points.ng[i, 1] * dy + points.ng[i, 2] * dz
+        factor = shadowing(points.tilt[i], across) / mean_shadowing(points.tilt[i])
+    if points.rough[i] > _0 and len(points.wo) > 0:
+        vx, vy, vz = points.wo[i, 0], points.wo[i, 1], points.wo[i, 2]
+        sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+        factor *= shape(points.rough[i], sx * dx + sy * dy + sz * dz, sx * vx + sy * vy + sz * vz, dx * vx + dy * vy + dz * vz)
+    return factor
+
+
+@inlined
 def is_turned(points, i):
     """Whether the normals of point i differ, so that `highlights` are found apart."""
     for j in range(points.turned.shape[1]):
@@ -418,8 +434,7 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
             aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz), _gather_density(points.gathered[i], cosine)
         )
     light, glossy, ray = rays.light[n], rays.glossy[n], rays.ray[n]
-    if points.tilt[i] > _0:  # in place of the mean, which is in the albedo
-        cosine *= shadowing(points.tilt[i], gx * dx + gy * dy + gz * dz) / mean_shadowing(points.tilt[i])
+    cosine *= _unevenness(points, i, dx, dy, dz)
     light[0], light[1], light[2] = w * cosine * r, w * cosine * g, w * cosine * b
     if block.lobe[k, ALPHA] > _0 and shine > _0 and not (emitters.flags[e] & SHARP and is_turned(points, i)):
         drawn = block.drawn[k] if across > _0 else np.int64(0)
@@ -596,9 +611,7 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
                 continue
             aimed = aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz)
             density = _gather_density(points.gathered[i], cosine)
-            w = cosine * share_of(density, aimed) / density
-            if points.tilt[i] > _0:
-                w *= shadowing(points.tilt[i], gx * dx + gy * dy + gz * dz) / mean_shadowing(points.tilt[i])
+            w = cosine * _unevenness(points, i, dx, dy, dz) * share_of(density, aimed) / density
             r, g, b = w * r * surface[EMISSION], w * g * surface[EMISSION + 1], w * b * surface[EMISSION + 2]
             c = 3 * emitters.light_group[e]
             out[i, c] += clear * r
@@ -775,7 +788,7 @@ def direct_light(
         first: number of the pass; passes of one seed and sample count go on in the same sequences.
         reflections: most rays drawn from a point's lobe; where above 0, the light that they find is theirs to add
             (`methods.glossy.reflect`, called with the same numbers).
-        lobes: whether the points' lobes matter at all; without, they need the arrays position, ns, ng and error only (and may have spread and tilt).
+        lobes: whether the points' lobes matter at all; without, they need the arrays position, ns, ng and error only (and may have spread and tilt; rough surfaces are lit as smooth ones).
         apart: whether to tell apart what comes from lamps with sharp shadows (`sharp_emitters`), if there are any.
         gathered: gather rays that the points have traced, which then count for what they find of the world and of shining surfaces; None for none.
 
@@ -789,13 +802,13 @@ def direct_light(
         receivers = Receivers(*(getattr(points, name) for name in Receivers._fields[: -len(others)]), *others)
     else:
         none = np.zeros((0, 3), np.float32)
-        tilt = getattr(points, "tilt", np.zeros(len(points.position), np.float32))
+        tilt, rough = (getattr(points, name, np.zeros(len(points.position), np.float32)) for name in ("tilt", "rough"))
         spread = getattr(points, "spread", np.zeros((len(points.position), 0, 3), np.float32))
         entered = np.zeros(len(points.position), np.uint8)
         triangle = getattr(points, "triangle", np.full(len(points.position), -1, np.int32))
         receivers = Receivers(
             points.position, points.ns, points.ng, points.error, triangle, none, none, none, np.zeros(0, np.float32), none, spread,
-            np.zeros((0, 0, 3), np.float32), tilt, entered, *others,
+            np.zeros((0, 0, 3), np.float32), tilt, rough, entered, *others,
         )  # fmt: skip
     receivers = Reference(receivers)
     n, columns = len(points.position), 3 * scene.emitters.light_groups

@@ -16,6 +16,7 @@ from ..scene import DIFFUSE as DIFFUSE_RAY
 from . import ggx
 from .layout import (
     DIFFUSE,
+    DIFFUSE_ROUGHNESS,
     EMISSION,
     GLOSSY_F0,
     GLOSSY_F90,
@@ -47,6 +48,17 @@ def add(surface, at, wr, wg, wb, r, g, b):
     surface[at] += wr * max(r, F(0))
     surface[at + 1] += wg * max(g, F(0))
     surface[at + 2] += wb * max(b, F(0))
+
+
+@inlined
+def diffuse(surface, r, g, b, roughness, wr, wg, wb):
+    """Diffuse reflection with the colour (r, g, b)."""
+    r, g, b = wr * max(r, F(0)), wg * max(g, F(0)), wb * max(b, F(0))
+    surface[DIFFUSE] += r
+    surface[DIFFUSE + 1] += g
+    surface[DIFFUSE + 2] += b
+    surface[DIFFUSE_ROUGHNESS] += min(max(roughness, F(0)), F(1)) * (r + g + b)
+    return r, g, b
 
 
 @inlined
@@ -86,15 +98,12 @@ def _darkening(mean_fresnel, roughness, multiple):
 
 
 @inlined
-def dielectric_over_diffuse(surface, r, g, b, roughness, ior, level, multiple, tr, tg, tb, wr, wg, wb):
+def dielectric_over_diffuse(surface, r, g, b, roughness, ior, level, rough, multiple, tr, tg, tb, wr, wg, wb):
     """Principled BSDF below coat, metal and transmission: a dielectric lobe over a diffuse base.
 
-    level is Specular IOR Level, (tr, tg, tb) Specular Tint, multiple whether the lobe is Multiscatter GGX.
+    level is Specular IOR Level, rough the roughness of the base, (tr, tg, tb) Specular Tint, multiple whether the lobe is Multiscatter GGX.
     """
-    r, g, b = wr * max(r, F(0)), wg * max(g, F(0)), wb * max(b, F(0))
-    surface[DIFFUSE] += r
-    surface[DIFFUSE + 1] += g
-    surface[DIFFUSE + 2] += b
+    r, g, b = diffuse(surface, r, g, b, rough, wr, wg, wb)
     ior = max(ior, F(1e-5))
     roughness = min(max(roughness, F(0)), F(1))
     f0 = f0_of_ior(ior)
@@ -318,6 +327,8 @@ def dielectric_fresnel(cosine, ior):
 @inlined
 def finish(surface):
     """Turns the weighted sums into means."""
+    whole = surface[DIFFUSE] + surface[DIFFUSE + 1] + surface[DIFFUSE + 2]
+    surface[DIFFUSE_ROUGHNESS] = surface[DIFFUSE_ROUGHNESS] / whole if whole > F(0) else F(0)
     covered = surface[LAYERED] + surface[LAYERED + 1] + surface[LAYERED + 2]
     if covered > F(0):
         surface[LAYER_F0] /= covered
@@ -341,6 +352,7 @@ __all__ = [
     "add",
     "coat",
     "dielectric_over_diffuse",
+    "diffuse",
     "finish",
     "glass",
     "glossy",

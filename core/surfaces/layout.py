@@ -13,11 +13,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import inlined, leaf
-from . import ggx
+from . import ggx, rough_diffuse
 
 F = np.float32
 
-DIFFUSE = 0  # rgb: diffuse albedo before the dielectric lobe takes its share
+DIFFUSE = 0  # rgb: diffuse albedo of a smooth surface, before the dielectric lobe takes its share
 LAYERED = 3  # rgb: the part of DIFFUSE under a dielectric lobe
 LAYER_F0 = 6  # reflectance of that lobe at normal incidence
 LAYER_Z = 7  # its index of refraction, as `ggx.ior_coordinate`
@@ -33,7 +33,8 @@ REFRACTION = 26  # rgb: the part of TRANSPARENCY that passes glass, which is a b
 TILT = 29  # |cosine| of NORMAL and the surface's own, by which bumps shadow diffuse light (see `bumps`); 0 for no shadowing
 TRANSLUCENCY = 30  # rgb: diffuse transmittance, the same from both sides, before the dielectric lobe takes its share
 LAYERED_TRANSLUCENCY = 33  # the part (0..1) of TRANSLUCENCY under a dielectric lobe
-SURFACE = 34  # length
+DIFFUSE_ROUGHNESS = 34  # of the diffuse reflection (see `rough_diffuse`), weighted by its albedo
+SURFACE = 35  # length
 
 # Lobes at least as rough spread light about as a diffuse one does.
 WIDE = F(0.5)
@@ -42,8 +43,8 @@ _GLOSSY_Z = F(0.2**0.5)
 
 
 @inlined
-def diffuse_albedo(surface, cosine):
-    """Diffuse albedo (r, g, b) for a view at `cosine` (0..1): what Cycles' Diffuse Color pass holds."""
+def diffuse_color(surface, cosine):
+    """Diffuse albedo (r, g, b) of a smooth surface for a view at `cosine` (0..1): what Cycles' Diffuse Color pass holds."""
     share = ggx.layer_albedo(surface[LAYER_F0], surface[LAYER_Z], surface[LAYER_ROUGHNESS], surface[LAYER_MULTIPLE], cosine)
     share = min(max(share, F(0)), F(1))
     return (
@@ -54,15 +55,27 @@ def diffuse_albedo(surface, cosine):
 
 
 @inlined
+def diffuse_albedo(surface, cosine):
+    """Diffuse albedo (r, g, b) for a view at `cosine` (0..1)."""
+    r, g, b = diffuse_color(surface, cosine)
+    if surface[DIFFUSE_ROUGHNESS] > F(0):
+        kr, kg, kb = rough_diffuse.kept(surface[DIFFUSE_ROUGHNESS], cosine, surface[DIFFUSE], surface[DIFFUSE + 1], surface[DIFFUSE + 2])
+        r, g, b = kr * r, kg * g, kb * b
+    return r, g, b
+
+
+@inlined
 def diffuse_albedo_average(surface):
     """Diffuse albedo (r, g, b), the mean of `diffuse_albedo` over the cosine-weighted hemisphere."""
     share = ggx.layer_albedo_mean(surface[LAYER_F0], surface[LAYER_Z], surface[LAYER_ROUGHNESS], surface[LAYER_MULTIPLE])
     share = min(max(share, F(0)), F(1))
-    return (
-        surface[DIFFUSE] - share * surface[LAYERED],
-        surface[DIFFUSE + 1] - share * surface[LAYERED + 1],
-        surface[DIFFUSE + 2] - share * surface[LAYERED + 2],
-    )
+    r = surface[DIFFUSE] - share * surface[LAYERED]
+    g = surface[DIFFUSE + 1] - share * surface[LAYERED + 1]
+    b = surface[DIFFUSE + 2] - share * surface[LAYERED + 2]
+    if surface[DIFFUSE_ROUGHNESS] > F(0):
+        kr, kg, kb = rough_diffuse.kept_average(surface[DIFFUSE_ROUGHNESS], surface[DIFFUSE], surface[DIFFUSE + 1], surface[DIFFUSE + 2])
+        r, g, b = kr * r, kg * g, kb * b
+    return r, g, b
 
 
 @leaf

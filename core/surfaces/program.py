@@ -17,7 +17,7 @@ from ..jit import inlined, kernel, leaf
 from ..scene import CONSTANT, GLOSSY, TRANSMISSION, MaterialTables, Scene
 from . import bumps, closures, footprint, outlined, textures
 from .colors import luminance
-from .layout import DIFFUSE, EMISSION, NORMAL, SURFACE, TILT, TRANSPARENCY
+from .layout import EMISSION, NORMAL, SURFACE, TILT, TRANSPARENCY
 
 F = np.float32
 
@@ -47,14 +47,14 @@ MEAN_VIEW = 2.0
     BACKFACING,  # 1 where the back is seen
     VIEWED,  # 1 for a view of one of the kinds of rays p, else 0
     # -- closures; d is the weight --
-    DIFFUSE_CLOSURE,  # colour a
+    DIFFUSE_CLOSURE,  # colour a, roughness b.x
     EMISSION_CLOSURE,  # radiance a
     TRANSPARENT_CLOSURE,  # colour a
     REFRACTION_CLOSURE,  # colour a, ior b.x
     GLOSSY_CLOSURE,  # colour a, roughness b.x, p: multiple scattering
     METAL_CLOSURE,  # colour a, roughness b.x, tint at 82 degrees c, p: multiple scattering
     GLASS_CLOSURE,  # colour a, (roughness, ior) b, tint of the reflection c, p: a thin wall
-    DIELECTRIC_CLOSURE,  # base colour a, (roughness, ior, specular level) b, tint c, p: multiple scattering
+    DIELECTRIC_CLOSURE,  # base colour a, (roughness, ior, specular level, diffuse roughness) b, tint c, p: multiple scattering
     SHEEN_CLOSURE,  # (weight, roughness) a, tint b; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
     NORMAL_MAP,  # world-space normal a; p: as for bumps on a surface of normal b, diffuse light is shadowed
@@ -200,7 +200,7 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
         elif op == VIEWED:
             x = y = z = F(1) if closures.view_rays(cosine) & p else F(0)
         elif op == DIFFUSE_CLOSURE:
-            closures.add(surface, DIFFUSE, dx, dy, dz, ax, ay, az)
+            closures.diffuse(surface, ax, ay, az, bx, dx, dy, dz)
         elif op == EMISSION_CLOSURE:
             closures.add(surface, EMISSION, dx, dy, dz, ax, ay, az)
         elif op == TRANSPARENT_CLOSURE:
@@ -214,7 +214,7 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
         elif op == GLASS_CLOSURE:
             closures.glass(surface, ax, ay, az, bx, by, p, cx, cy, cz, dx, dy, dz, cosine)
         elif op == DIELECTRIC_CLOSURE:
-            closures.dielectric_over_diffuse(surface, ax, ay, az, bx, by, bz, p, cx, cy, cz, dx, dy, dz)
+            closures.dielectric_over_diffuse(surface, ax, ay, az, bx, by, bz, rows[ib, 3], p, cx, cy, cz, dx, dy, dz)
         elif op == SHEEN_CLOSURE:
             x, y, z = closures.sheen(surface, ax, ay, bx, by, bz, dx, dy, dz, cosine)
         elif op == COAT_CLOSURE:

@@ -31,6 +31,7 @@ class ShadingPoints(NamedTuple):
     turned: (N, 3, 3) float32, where a glossy pixel shows a surface that turns: its mean shading normal less the point's, then the half axes of the
         rectangle of slopes about it that the pixel's normals fill, each as long as it is wide; else 0.
     tilt: (N,) float32, `layout.TILT` where bumps shadow the light, whose mean is in `albedo`; else 0.
+    rough: (N,) float32, `layout.DIFFUSE_ROUGHNESS`.
     shown: (N,) uint8, 1 where the surfaces that the lobe shows have points of their own, so that it has to find nothing but what shines.
     entered: (N,) uint8, of the back of glass: solids of glass that the view is in by their fronts (see `surfaces.visibility`), and what the lobe shows too.
     """
@@ -50,17 +51,18 @@ class ShadingPoints(NamedTuple):
     spread: np.ndarray
     turned: np.ndarray
     tilt: np.ndarray
+    rough: np.ndarray
     shown: np.ndarray
     entered: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> ShadingPoints:
-        """Room for n points, not set but for `behind_glass`, `spread`, `turned`, `tilt`, `shown` and `entered`, which are 0."""
+        """Room for n points, not set but for `behind_glass`, `spread`, `turned`, `tilt`, `rough`, `shown` and `entered`, which are 0."""
         f, e = np.float32, np.empty
         return ShadingPoints(
             e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32),
             e((n, 3), f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f), np.zeros(n, np.uint8), np.zeros((n, SPREAD, 3), f), np.zeros((n, 3, 3), f),
-            np.zeros(n, f), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
+            np.zeros(n, f), np.zeros(n, f), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
         )  # fmt: skip
 
     def take(self, index) -> ShadingPoints:

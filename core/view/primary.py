@@ -49,6 +49,7 @@ from .tile import (
     PANES,
     PLACE,
     POSITION,
+    ROUGH,
     SHADED,
     TILE,
     TILTED,
@@ -265,6 +266,7 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
         points.roughness[i] = group[k, G_ROUGHNESS] / group[k, MEMBERS]
         points.behind_glass[i] = tile.glass[lane, best] > 0
         points.tilt[i] = np.float32(0.0) if transmitted else sample[best, TILTED]
+        points.rough[i] = np.float32(0.0) if transmitted else sample[best, ROUGH]
         points.shown[i] = tile.shown[lane, best] > 0
         points.entered[i] = min(tile.entered[lane, best], 255)
     return n_points

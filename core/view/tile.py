@@ -25,6 +25,7 @@ from ..scene import CAMERA, GLOSSY, MIRRORING, NORMAL_MAPPED, REFRACTIVE, TRANSL
 from ..surfaces.arithmetic import normalized
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import (
+    DIFFUSE_ROUGHNESS,
     EMISSION,
     GLOSSY_F0,
     GLOSSY_F90,
@@ -34,6 +35,7 @@ from ..surfaces.layout import (
     TILT,
     TRANSPARENCY,
     diffuse_albedo,
+    diffuse_color,
     glossy_albedo,
     largest_kept,
     translucency,
@@ -68,7 +70,7 @@ GLASS = 3  # kinds of what is emitted: behind no glass, one surface of it, and m
 SHOWN, STRAIGHT, REFRACTED, REFLECTED = 1, 2, 4, 8
 SURFACES, ALL_LIGHT = 1, 2  # what rows of their own show of a mirror's lobe
 # Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
-PLACE, ERROR, FACING, SHADED, TILTED = 0, 3, 4, 7, 10
+PLACE, ERROR, FACING, SHADED, TILTED, ROUGH, SAMPLE = 0, 3, 4, 7, 10, 11, 12
 MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY = 0, 1, 4, 7, 10, 11
 _GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
 FINEST = np.float32(1e-3)  # shares of the samples below which what is left of their choice has too few bits
@@ -91,7 +93,7 @@ class Tile(NamedTuple):
     shown: (16, R) uint8, `SURFACES` where these, and `ALL_LIGHT` where also what shines in its lobe has a row of its own.
     lamps: (16, GLASS, G, 3) float32, light of the lamps in view, summed over the samples, by the surfaces of glass before it.
     out: (16, C) float32, sums of the pixels' layers.  nearest: (16,) int32, the row nearest to the camera, -1 for none.
-    sample: (16, R, 11) float32, position, its error, geometric and shading normal, tilt of each row.  group_of: (16, R) int32, which of the
+    sample: (16, R, SAMPLE) float32, position, its error, geometric and shading normal, tilt and diffuse roughness of each row.  group_of: (16, R) int32, which of the
     pixel's surfaces it shows, -1 for none.  groups: (16,) int32, how many there are.  first: (16, R) int32, the first row of each.
     group: (16, R, 14) float32, rows of each, sums of albedo, f0, f90, roughness and translucency.
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
@@ -141,7 +143,7 @@ def new_tile(samples, light_groups, lamps):
         np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows), i),
         np.empty((WIDTH, rows), np.uint8), np.empty((WIDTH, rows), np.uint8),
         np.empty((WIDTH, GLASS, light_groups, 3), f),
-        np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, 11), f),
+        np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, SAMPLE), f),
         np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, 14), f),
         np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f), np.empty(WIDTH, f), np.empty(WIDTH, f),
         np.empty((WIDTH, 2), f), np.empty(WIDTH, i), np.arange(lamps).astype(i), np.empty(LOBE, f),
@@ -485,7 +487,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             cosine = lobe_cosine(sx, sy, sz, gx, gy, gz, -dx, -dy, -dz)
             if not (behind and materials.flags[material[triangle]] & REFRACTIVE):
                 tile.entered[pixel, s] = 0
-            ar, ag, ab = diffuse_albedo(surface, cosine)
+            ar, ag, ab = diffuse_color(surface, cosine)
             ar, ag, ab = ar * wr, ag * wg, ab * wb
             tr = tg = tb = _0
             if materials.flags[material[triangle]] & TRANSLUCENT:
@@ -509,6 +511,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             sample[s, PLACE], sample[s, PLACE + 1], sample[s, PLACE + 2], sample[s, ERROR] = x, y, z, error
             sample[s, FACING], sample[s, FACING + 1], sample[s, FACING + 2] = gx, gy, gz
             sample[s, SHADED], sample[s, SHADED + 1], sample[s, SHADED + 2], sample[s, TILTED] = sx, sy, sz, surface[TILT]
+            sample[s, ROUGH] = surface[DIFFUSE_ROUGHNESS]
             if nearest < 0 or depth[pixel, s] < depth[pixel, nearest]:
                 nearest = s
             footprint = pixel_width if camera.orthographic else pixel_width * depth[pixel, s]
@@ -532,6 +535,9 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             group_of[s] = k
             group[k, MEMBERS] += _1
             lit = mean_shadowing(surface[TILT])  # direct light puts its own in place of the mean
+            if surface[DIFFUSE_ROUGHNESS] > _0:
+                ar, ag, ab = diffuse_albedo(surface, cosine)
+                ar, ag, ab = ar * wr, ag * wg, ab * wb
             group[k, G_ALBEDO] += lit * ar
             group[k, G_ALBEDO + 1] += lit * ag
             group[k, G_ALBEDO + 2] += lit * ab

@@ -91,15 +91,15 @@ def principled(node: NodeInput, weight: Value) -> None:
     elif not _is(subsurface, 0):
         node.warn("subsurface scattering is treated as diffuse reflection with the base colour")
     if weight != ZERO:
-        lobe = node.pack(roughness, ior, node["Specular IOR Level"])
+        lobe = node.pack(roughness, ior, node["Specular IOR Level"], node["Diffuse Roughness"] if node.has("Diffuse Roughness") else ZERO)
         node.emit(ops.DIELECTRIC_CLOSURE, base, lobe, tint, weight, p=multiple)
 
 
 @closure("ShaderNodeBsdfDiffuse")
 def diffuse(node: NodeInput, weight: Value) -> None:
-    """Diffuse BSDF; a rough one (Oren-Nayar) keeps its albedo and is treated as Lambertian."""
+    """Diffuse BSDF."""
     _normal(node)
-    node.emit(ops.DIFFUSE_CLOSURE, node["Color"], ZERO, ZERO, weight)
+    node.emit(ops.DIFFUSE_CLOSURE, node["Color"], node["Roughness"], ZERO, weight)
 
 
 @closure("ShaderNodeBsdfTranslucent")
