@@ -75,11 +75,13 @@ def points_at(n, roughness, cosine=0.7, f0=0.5, f90=1.0, albedo=0.0, position=(0
     """n equal points on a plane that faces up."""
     tile = lambda row: np.tile(np.asarray(row, F), (n, 1))  # noqa: E731
     up = tile((0, 0, 1))
-    return ShadingPoints(
-        tile(position), np.full(n, 1e-6, F), up, up.copy(), np.zeros(n, np.int32), np.zeros(n, np.int32), tile((albedo,) * 3),
-        tile(view_at(cosine)), tile((f0,) * 3), tile((f90,) * 3), np.full(n, roughness, F),
-        np.zeros(n, np.uint8), np.zeros((n, 3, 3), F), np.zeros((n, 3, 3), F), np.zeros(n, F), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
-    )  # fmt: skip
+    points = ShadingPoints.allocate(n)
+    columns = {
+        "position": tile(position), "error": np.full(n, 1e-6, F), "ng": up, "ns": up.copy(), "pixel": np.zeros(n, np.int32),
+        "triangle": np.zeros(n, np.int32), "albedo": tile((albedo,) * 3), "wo": tile(view_at(cosine)), "f0": tile((f0,) * 3),
+        "f90": tile((f90,) * 3), "roughness": np.full(n, roughness, F),
+    }  # fmt: skip
+    return points._replace(**columns)
 
 
 def radiance(scene, points, samples=16, reflections=8, seed=1, threads=0):
