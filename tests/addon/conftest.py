@@ -45,7 +45,7 @@ class Compared:
     @property
     def diffuse(self) -> np.ndarray:
         """Reflected and transmitted, as Cycles' pass holds both."""
-        return np.array([layout.diffuse_albedo(s, np.float32(self.cosine)) for s in self.surfaces]) + self.translucency
+        return np.array([layout.diffuse_color(s, np.float32(self.cosine)) for s in self.surfaces]) + self.translucency
 
     @property
     def translucency(self) -> np.ndarray:
