@@ -32,7 +32,7 @@ import numpy as np
 from .jit import inlined, kernel, leaf
 from .lamps.emission import FOR_EVER, emit
 from .lamps.shapes import AWAY_FROM_CENTRE
-from .lamps.tables import CASTS_SHADOW
+from .lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY
 from .rays.offsets import hit_point, offset_origin
 from .rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
 from .rays.trace import ALL, intersect_packet
@@ -70,6 +70,7 @@ LEAST_POWER = 1.0  # of the mean share of its light that a particle keeps at a f
 SHARPEST = np.float32(32.0)
 # Times 1 / roughness^4: the sharpness of a light that shines about as widely as the lobe that its direction was drawn from.
 _AS_WIDE = np.float32(0.25)
+_MORE = 16  # times as many particles are tried where none has landed
 _NESTED = 4  # fronts of glass, each within the last, that a particle owes for
 _MET = 0.2  # of what passes an angled surface, at least, tries what that keeps
 _0 = np.float32(0.0)
@@ -357,6 +358,8 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     else:
                         u1, u2 = uniform(seed, i, bounce, 0), uniform(seed, i, bounce, 1)
                     fr, fg, fb = glossy_albedo(surface, min(_1, abs(cos_s)))
+                    if bounce == 0 and not scene.emitters.flags[emitter[lane]] & SEEN_BY_GLOSSY:
+                        fr = fg = fb = _0
                     if angled:
                         evaluate_from(scene, triangle, u, v, behind, uniform(seed, i, bounce, 4), rows, surface)
                     dr, dg, db = diffuse_albedo_average(surface)
@@ -462,12 +465,15 @@ def _fly(
     scene: Transport, particles: int, bounces: int, seed: int, threads: int, progress: Progress | None, *, by_power: bool
 ) -> tuple[Vpls, int]:
     chunk = 1024
-    probe = min(particles, chunk)
-    room = Vpls.allocate(probe)
     seed, none = np.uint32(seed), np.float32(0)
-    n, n_rays, albedo_sum, albedo_count, kept_sum = _trace_particles(
-        scene, 0, probe, np.array([probe], np.int64), none, none, 1, seed, room
-    )
+    probe = n_rays = albedo_count = 0
+    while albedo_count == 0 and probe < particles:  # the first that land: of lamps far off few do
+        probe = min(particles, _MORE * probe or chunk)
+        room = Vpls.allocate(probe)
+        n, rays, albedo_sum, albedo_count, kept_sum = _trace_particles(
+            scene, 0, probe, np.array([probe], np.int64), none, none, 1, seed, room
+        )
+        n_rays += rays
     if albedo_count == 0 or bounces < 1:
         return Vpls.allocate(0), n_rays
     surfaces = bounces + (_MORE_SURFACES if (scene.materials.flags & (GLOSSY_LOBE | TRANSLUCENT)).any() else 0)

@@ -242,6 +242,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
         emission_cdf=cumulative(flux.mean(1), np.float64) if len(kind) else np.zeros(1),
         box=box,
         focus=np.zeros((0, 2, 3), np.float32),
+        aim=np.zeros(4, np.float32),
         cutouts=bool((scene.materials.tables.flags & TRANSPARENT).any()),
         light_group=light_group.astype(np.int32),
         object_light_group=groups.objects,

@@ -14,9 +14,10 @@ from ..jit import inlined, leaf
 from ..rays.offsets import hit_point, offset_origin
 from ..sampling.discrete import cumulative, sample_cdf
 from ..sampling.maps import concentric_disk, cosine_hemisphere, to_world, uniform_cone, uniform_sphere, uniform_triangle
-from ..scene import AREA, SPOT, SUN
+from ..scene import AREA, POINT, SPOT, SUN
 from ..surfaces.layout import EMISSION
 from ..surfaces.program import evaluate, reflected_view
+from .shapes import one_minus_cos, spot_attenuation, spread_attenuation
 from .tables import (
     AREA_M2,
     AXIS_X,
@@ -45,6 +46,7 @@ OUTLIERS = 0.02, 0.1  # shares of the places beyond either end of a focus along 
 MARGIN = 0.05  # of a focus's size, on all sides
 FAR = 0.05  # of its flux, at least, counts what an emitter sends elsewhere
 WORTHWHILE = 0.5  # of the whole box's surface: larger focuses gain nothing
+APART = 2.0  # radii of the aim from its centre, at least, of an emitter whose particles are drawn to it
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _2 = np.float32(2.0)
@@ -169,7 +171,41 @@ def _focused_entry(box, focus, dx, dy, dz, u1, u2):
 
 
 @leaf
-def _emit_point(lamps, i, spot, soft, u1, u2, u3, u4):
+def _aim_at(aim, x, y, z, radius, u1, u2):
+    """Half of the particles that leave a sphere around (x, y, z) are drawn to the cone in which it sees the aim, where that lies far off.
+
+    Returns:
+        (direction, or zeros where the emitter is to draw it, 1 - cos of the cone's half angle, 0 for no cone, and u1, stretched).
+    """
+    vx, vy, vz = aim[0] - x, aim[1] - y, aim[2] - z
+    wide, d2 = aim[3] + radius, vx * vx + vy * vy + vz * vz
+    if not (aim[3] > _0 and d2 > np.float32(APART * APART) * wide * wide):
+        return _0, _0, _0, _0, u1
+    cone = one_minus_cos(wide * wide / d2)
+    if u1 < _HALF:
+        return _0, _0, _0, cone, u1 * _2
+    lx, ly, lz = uniform_cone(u1 * _2 - _1, u2, cone)
+    length = np.float32(math.sqrt(d2))
+    dx, dy, dz = to_world(lx, ly, lz, vx / length, vy / length, vz / length)
+    return dx, dy, dz, cone, u1
+
+
+@leaf
+def _aimed_weight(aim, x, y, z, radius, cone, own, dx, dy, dz):
+    """Density per solid angle `own` of an emitter's directions over that of `_aim_at` and itself, half of each (balance heuristic)."""
+    if not cone > _0:
+        return _1
+    vx, vy, vz = aim[0] - x, aim[1] - y, aim[2] - z
+    wide = aim[3] + radius
+    # By the sine, which a cosine of narrow cones does not tell.
+    cx, cy, cz = dy * vz - dz * vy, dz * vx - dx * vz, dx * vy - dy * vx
+    within = dx * vx + dy * vy + dz * vz > _0 and cx * cx + cy * cy + cz * cz <= np.float32(1.0001) * wide * wide
+    drawn = _1 / (_2PI * cone) if within else _0
+    return own / (_HALF * (own + drawn)) if own > _0 else _0
+
+
+@leaf
+def _emit_point(lamps, i, spot, soft, aim, u1, u2, u3, u4):
     """Point and spot lamps -> (origin, direction, weight, and `near`, `far`, `before` of `emit`).
 
     All lines of one direction pass a disk of the lamp's radius.  Of a sphere they start on its surface, outwards where they
@@ -182,25 +218,33 @@ def _emit_point(lamps, i, spot, soft, u1, u2, u3, u4):
     weight = _1
     inwards = False
     crossed = lamps[i, WITHIN]
+    full = (_1 - lamps[i, COS_INNER]) + _HALF * (lamps[i, COS_INNER] - lamps[i, COS_OUTER]) if spot else _2
     if crossed > _0 and not soft:  # as many as there may be surfaces to meet
         chance = crossed / (_1 + crossed)
         inwards = u1 < chance
         if inwards:
             u1 = min(u1 / chance, np.float32(0.99999994))
-            full = (_1 - lamps[i, COS_INNER]) + _HALF * (lamps[i, COS_INNER] - lamps[i, COS_OUTER]) if spot else _2
             weight = _2 / (full * chance)
         else:
             u1 = min((u1 - chance) / (_1 - chance), np.float32(0.99999994))
             weight = _1 / (_1 - chance)
-    if spot and not inwards:
+    x, y, z = lamps[i, POSITION], lamps[i, POSITION + 1], lamps[i, POSITION + 2]
+    radius = lamps[i, RADIUS]
+    cone = dx = dy = dz = _0
+    if not crossed > _0:
+        dx, dy, dz, cone, u1 = _aim_at(aim, x, y, z, radius, u1, u2)
+    if dx != _0 or dy != _0 or dz != _0:
+        pass
+    elif spot and not inwards:
         h = _spot_one_minus_cos(np.float64(lamps[i, COS_OUTER]), np.float64(lamps[i, COS_INNER]), np.float64(u1))
         sine, phi = np.float32(math.sqrt(h * (2.0 - h))), _2PI * u2
         dx, dy, dz = to_world(sine * np.float32(math.cos(phi)), sine * np.float32(math.sin(phi)), np.float32(1.0 - h), ax, ay, az)
     else:
         dx, dy, dz = uniform_sphere(u1, u2)
-    x, y, z = lamps[i, POSITION], lamps[i, POSITION + 1], lamps[i, POSITION + 2]
+    if cone > _0:
+        own = spot_attenuation(lamps, i, ax * dx + ay * dy + az * dz) if spot else _1
+        weight = _aimed_weight(aim, x, y, z, radius, cone, own / (_2PI * full), dx, dy, dz)
     near, far, before = _0, FOR_EVER, _0
-    radius = lamps[i, RADIUS]
     if radius > _0:
         a, b = concentric_disk(u3, u4)
         rest = radius * np.float32(math.sqrt(max(np.float32(1e-12), _1 - a * a - b * b)))
@@ -220,27 +264,45 @@ def _emit_point(lamps, i, spot, soft, u1, u2, u3, u4):
 
 
 @leaf
-def _emit_area(lamps, i, ellipse, u1, u2, u3, u4):
-    """Area lamps -> (origin, direction): uniform on the shape, cosine with the spread around the axis."""
+def _area_density(lamps, i, even, cosine):
+    """Density per solid angle of the directions of an area lamp, at a cosine off its axis.  even: whether it has no spread."""
+    if not cosine > _0:
+        return _0
+    if even:
+        return cosine / _PI
+    half = lamps[i, HALF_SPREAD]
+    tangent = np.float32(math.sqrt(max(_0, _1 - cosine * cosine))) / cosine
+    total = 1.0 - np.float64(half) * math.cos(np.float64(half)) / math.sin(np.float64(half))
+    return cosine * spread_attenuation(lamps, i, tangent) / (_PI * np.float32(total))
+
+
+@leaf
+def _emit_area(lamps, i, ellipse, aim, u1, u2, u3, u4):
+    """Area lamps -> (origin, direction, weight): uniform on the shape, cosine with the spread around the axis."""
     if ellipse:
         a, b = concentric_disk(u1, u2)
         a, b = _HALF * a, _HALF * b
     else:
         a, b = u1 - _HALF, u2 - _HALF
     a, b = a * lamps[i, SIZE], b * lamps[i, SIZE + 1]
-    if lamps[i, TAN_HALF_SPREAD] == np.float32(np.inf):
+    x = lamps[i, POSITION] + a * lamps[i, AXIS_X] + b * lamps[i, AXIS_Y]
+    y = lamps[i, POSITION + 1] + a * lamps[i, AXIS_X + 1] + b * lamps[i, AXIS_Y + 1]
+    z = lamps[i, POSITION + 2] + a * lamps[i, AXIS_X + 2] + b * lamps[i, AXIS_Y + 2]
+    even = lamps[i, TAN_HALF_SPREAD] == np.float32(np.inf)
+    dx, dy, dz, cone, u3 = _aim_at(aim, x, y, z, _0, u3, u4)
+    if dx != _0 or dy != _0 or dz != _0:
+        lz = -(dx * lamps[i, AXIS_Z] + dy * lamps[i, AXIS_Z + 1] + dz * lamps[i, AXIS_Z + 2])
+        return x, y, z, dx, dy, dz, _aimed_weight(aim, x, y, z, _0, cone, _area_density(lamps, i, even, lz), dx, dy, dz)
+    if even:
         lx, ly, lz = cosine_hemisphere(u3, u4)
     else:
         theta = _spread_angle(np.float64(lamps[i, HALF_SPREAD]), np.float64(u3))
         s, lz, phi = np.float32(math.sin(theta)), np.float32(math.cos(theta)), _2PI * u4
         lx, ly = s * np.float32(math.cos(phi)), s * np.float32(math.sin(phi))
-    x = lamps[i, POSITION] + a * lamps[i, AXIS_X] + b * lamps[i, AXIS_Y]
-    y = lamps[i, POSITION + 1] + a * lamps[i, AXIS_X + 1] + b * lamps[i, AXIS_Y + 1]
-    z = lamps[i, POSITION + 2] + a * lamps[i, AXIS_X + 2] + b * lamps[i, AXIS_Y + 2]
     dx = lx * lamps[i, AXIS_X] + ly * lamps[i, AXIS_Y] - lz * lamps[i, AXIS_Z]
     dy = lx * lamps[i, AXIS_X + 1] + ly * lamps[i, AXIS_Y + 1] - lz * lamps[i, AXIS_Z + 1]
     dz = lx * lamps[i, AXIS_X + 2] + ly * lamps[i, AXIS_Y + 2] - lz * lamps[i, AXIS_Z + 2]
-    return x, y, z, dx, dy, dz
+    return x, y, z, dx, dy, dz, _aimed_weight(aim, x, y, z, _0, cone, _area_density(lamps, i, even, lz), dx, dy, dz)
 
 
 @inlined
@@ -267,12 +329,17 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
         i = e - emitters.first_triangle
         shapes = emitters.shapes
         u, v = uniform_triangle(u1, u2)
-        front = u3 < _HALF
-        lx, ly, lz = cosine_hemisphere(u3 * _2 if front else u3 * _2 - _1, u4)
-        side = _1 if front else -_1
-        nx, ny, nz = side * shapes[i, NORMAL], side * shapes[i, NORMAL + 1], side * shapes[i, NORMAL + 2]
-        dx, dy, dz = to_world(lx, ly, lz, nx, ny, nz)
         x, y, z, nx, ny, nz, error = hit_point(emitters.vertices, emitters.triangles, emitters.triangle[i], u, v)
+        dx, dy, dz, cone, u3 = _aim_at(emitters.aim, x, y, z, _0, u3, u4)
+        if dx != _0 or dy != _0 or dz != _0:
+            lz = shapes[i, NORMAL] * dx + shapes[i, NORMAL + 1] * dy + shapes[i, NORMAL + 2] * dz
+            side, lz = _1 if lz >= _0 else -_1, abs(lz)
+        else:
+            front = u3 < _HALF
+            lx, ly, lz = cosine_hemisphere(u3 * _2 if front else u3 * _2 - _1, u4)
+            side = _1 if front else -_1
+            dx, dy, dz = to_world(lx, ly, lz, side * shapes[i, NORMAL], side * shapes[i, NORMAL + 1], side * shapes[i, NORMAL + 2])
+        w *= _aimed_weight(emitters.aim, x, y, z, _0, cone, lz / _2PI, dx, dy, dz)
         x, y, z = offset_origin(x, y, z, nx, ny, nz, error, dx, dy, dz)
         if emitters.flags[e] & TEXTURED:
             triangle, material = emitters.triangle[i], emitters.material[i]
@@ -296,32 +363,65 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
             x, y, z, area = _box_entry(emitters.box, dx, dy, dz, u3, u4)
         w *= area
     elif kind == AREA:
-        x, y, z, dx, dy, dz = _emit_area(emitters.lamps, e, emitters.flags[e] & ELLIPTIC, u1, u2, u3, u4)
+        x, y, z, dx, dy, dz, k = _emit_area(emitters.lamps, e, emitters.flags[e] & ELLIPTIC, emitters.aim, u1, u2, u3, u4)
+        w *= k
     else:
-        x, y, z, dx, dy, dz, k, near, far, before = _emit_point(emitters.lamps, e, kind == SPOT, emitters.flags[e] & SOFT, u1, u2, u3, u4)
+        soft = emitters.flags[e] & SOFT
+        x, y, z, dx, dy, dz, k, near, far, before = _emit_point(emitters.lamps, e, kind == SPOT, soft, emitters.aim, u1, u2, u3, u4)
         w *= k
     return e, x, y, z, dx, dy, dz, r * w, g * w, b * w, near, far, before
 
 
 def focused(emitters: Emitters, places: np.ndarray) -> Emitters:
-    """The same emitters, whose sun and world send most of their particles where the places (N, 3) are, with exact weights.
+    """The same emitters, which send most of their particles where the places (N, 3) are, with exact weights: sun and world, and all that are far off.
 
-    A room with a window in a wide land would else wait long for one that comes in.
+    A room with a window in a wide land, or before a lamp across the street, would else wait long for one that comes in.
     """
-    boxes = [np.quantile(places, (part, 1 - part), axis=0) for part in OUTLIERS] if len(places) else []
-    extent = (emitters.box[1] - emitters.box[0]).max()
-    kept = []
-    for box in boxes:
-        margin = np.maximum(MARGIN * (box[1] - box[0]).max(), 1e-6 * extent)
-        box = np.clip(box + margin * np.array([[-1.0], [1.0]]), emitters.box[0], emitters.box[1])
-        if _surface(box) < WORTHWHILE * _surface(emitters.box):
-            kept.append(box)
-    if not kept:
+    if not len(places):
         return emitters
-    # Of what such an emitter sends into the whole box, about this share comes near the places.
-    near = max(_surface(kept[0]) / _surface(emitters.box), FAR)
-    sent = emitters.flux.mean(axis=1) * np.where(np.isin(emitters.kind, (SUN, WORLD)), near, 1.0)
-    return emitters._replace(focus=np.array(kept, np.float32), emission_cdf=cumulative(sent, np.float64))
+    extent = (emitters.box[1] - emitters.box[0]).max()
+    boxes = []
+    for part in OUTLIERS:
+        box = np.quantile(places, (part, 1 - part), axis=0)
+        margin = np.maximum(MARGIN * (box[1] - box[0]).max(), 1e-6 * extent)
+        boxes.append(np.clip(box + margin * np.array([[-1.0], [1.0]]), emitters.box[0], emitters.box[1]))
+    kept = [box for box in boxes if _surface(box) < WORTHWHILE * _surface(emitters.box)]
+    centre, radius = boxes[0].mean(axis=0), 0.5 * float(np.linalg.norm(boxes[0][1] - boxes[0][0]))
+    seen = _seen_cones(emitters, centre, radius)
+    if not kept and (seen == 1).all():
+        return emitters
+    # Of what such an emitter sends, about this share comes near the places.
+    near = np.where(np.isin(emitters.kind, (SUN, WORLD)) & bool(kept), max(_surface(boxes[0]) / _surface(emitters.box), FAR), seen)
+    sent = emitters.flux.mean(axis=1) * near
+    if (seen < 1).any() and sent.sum() > 0:
+        flux = emitters.flux.mean(axis=1)
+        sent = (1 - FAR) * sent / sent.sum() + FAR * flux / flux.sum()
+    return emitters._replace(
+        focus=np.array(kept, np.float32).reshape(-1, 2, 3),
+        aim=np.array([*centre, radius], np.float32),
+        emission_cdf=cumulative(sent, np.float64),
+    )
+
+
+def _seen_cones(emitters: Emitters, centre: np.ndarray, radius: float) -> np.ndarray:
+    """Share (E,) of all directions in which emitters that are far off see a sphere; 1 for those that are near, sun and world."""
+    position = np.tile(centre, (len(emitters.kind), 1)).astype(np.float64)
+    size = np.zeros(len(position))
+    lamps = len(emitters.source)
+    finite = ~np.isin(emitters.kind[:lamps], (SUN, WORLD))
+    position[:lamps][finite] = emitters.lamps[finite, POSITION : POSITION + 3]
+    round_ = np.isin(emitters.kind[:lamps], (POINT, SPOT))
+    size[:lamps][round_] = emitters.lamps[round_, RADIUS]
+    if emitters.first_triangle < len(position):
+        corners = emitters.vertices[emitters.triangles[emitters.triangle]]
+        position[emitters.first_triangle :] = corners.mean(axis=1)
+    wide2, d2 = (radius + size) ** 2, ((position - centre) ** 2).sum(axis=1)
+    far = (d2 > APART**2 * wide2) & (wide2 > 0)
+    share = 0.5 * (1 - np.sqrt(1 - np.minimum(wide2 / np.maximum(d2, 1e-30), 1)))
+    spots = emitters.kind[:lamps] == SPOT
+    cones = 1 - 0.5 * emitters.lamps[spots][:, [COS_INNER, COS_OUTER]].sum(axis=1)
+    share[:lamps][spots] = np.minimum(1, 2 * share[:lamps][spots] / np.maximum(cones, 1e-12))
+    return np.where(far, share, 1.0)
 
 
 def focus_share(emitters: Emitters) -> float:

@@ -94,6 +94,7 @@ class Emitters(NamedTuple):
     groups: (G,) int32, emitters that direct light samples one by one; -1 is the tree.
     emission_cdf: (E + 1,) float64, by flux.  box: (2, 3), corners of the scene's bounding box.
     focus: (K, 2, 3), corners of boxes within it where particles of sun and world count more; none: everywhere alike.
+    aim: (4,), centre and radius of a sphere to which emitters far off send more of their particles, radius 0 for none.
     cutouts: whether anything in the scene lets light through.
     light_group: (E,) int32, object_light_group: (O,) int32: the light group of each emitter, and of each object's triangles.
     light_groups: their number G, 1 where light is not told apart.  What adds light up has three columns for each of them.
@@ -116,6 +117,7 @@ class Emitters(NamedTuple):
     emission_cdf: np.ndarray
     box: np.ndarray
     focus: np.ndarray
+    aim: np.ndarray
     cutouts: bool
     light_group: np.ndarray
     object_light_group: np.ndarray

@@ -573,6 +573,8 @@ class ImportanceSampling:
             particles=particles,
             kept=KEPT,
         )
+        if not len(vpls.bounce) and len(self.cache.share):  # none found their way: gather rays carry all
+            self.cache = self.cache._replace(lit=0 * self.cache.lit, share=0 * self.cache.share, trust=0 * self.cache.trust)
         self.g_max = np.float32(clamp_of(vpls, points))
         order = np.argsort(morton_codes(vpls.position), kind="stable") if len(vpls.bounce) else np.zeros(0, np.int64)
         self.vpls = vpls.take(order)

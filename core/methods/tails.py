@@ -16,6 +16,7 @@ import numpy as np
 
 from ..jit import kernel, leaf
 from ..lamps.direct import direct_sample_at
+from ..lamps.tables import SEEN_BY_GLOSSY
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
 from ..references import Reference
@@ -82,7 +83,9 @@ def scatter_light(
             r, g, b = lit * r * tr, lit * g * tg, lit * b * tb
         else:
             rise = glossy_rise(cosine, roughness)
-            fr, fg, fb = r * (f0r + rise * (f90r - f0r)), g * (f0g + rise * (f90g - f0g)), b * (f0b + rise * (f90b - f0b))
+            seen = _1 if scene.emitters.flags[e] & SEEN_BY_GLOSSY else _0
+            fr, fg, fb = seen * r, seen * g, seen * b
+            fr, fg, fb = fr * (f0r + rise * (f90r - f0r)), fg * (f0g + rise * (f90g - f0g)), fb * (f0b + rise * (f90b - f0b))
             r, g, b = lit * r * dr, lit * g * dg, lit * b * db
             if roughness < WIDE:
                 shine[i, c] += sheen * fr

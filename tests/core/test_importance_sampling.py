@@ -10,7 +10,7 @@ from lumigate.core.methods.importance_sampling import ImportanceSampling, light_
 from lumigate.core.methods.light_cache import DEPTH, Probes, build_light_cache, look_up, no_cache
 from lumigate.core.methods.partition import strengths, trusted
 from lumigate.core.methods.probes import trace_probes
-from lumigate.core.particles import SHARPEST, _axis, trace_by_power, trace_particles
+from lumigate.core.particles import SHARPEST, Vpls, _axis, trace_by_power, trace_particles
 from lumigate.core.pipeline import render
 from lumigate.core.rays import RayScene
 from lumigate.core.settings import RenderSettings
@@ -517,3 +517,48 @@ def test_lights_of_low_light_are_narrower():
         found.append(axis[3])
     assert found[1] / found[0] == pytest.approx(2 / (1 + 0.5**2), rel=1e-3)
     assert found[0] == pytest.approx(0.5 / 0.2**2, rel=1e-3)  # twice the lobe's own, so that the axes take their share
+
+
+def test_a_lamp_far_off_lights_a_room_through_its_open_side(build):
+    # One particle in a hundred thousand of those that leave it evenly comes in: there were no lights, and what they were to carry was lost.
+    vertices, triangles = build.box((-1, -1, 0), (1, 1, 2))
+    away = np.array([400.0, 60.0, 150.0])
+    inside = ~(vertices[triangles][..., 0] == 1).all(axis=1)  # without the wall towards the lamp
+    quads = build.geometry(vertices, triangles[inside])
+    lamp = build.lamp(sc.POINT, 4 * away @ away, away)
+    scene = build.scene(quads, build.materials((0.6, 0.0)), lamps=lamp, camera=build.camera(width=16, height=16, position=(0.2, 0, 1.9)))
+    with RayScene(scene.geometry.vertices, scene.geometry.triangles) as rays:
+        tables = transport(scene.geometry, scene.materials.tables, rays.tables, build_emitters(scene))
+        lit = tables, view(scene, rays.tables, world_tables(scene.world), 2, 1, 1).points
+        found = [estimate(lit, 20000, 16, 16, seed) for seed in range(3)]
+        paths = ImportanceSampling(samples=0, gather=1024, seed=99)
+        paths.cache_light(*lit, paths=1000)
+        paths.prepare(*lit, 16)
+        paths.cache, paths.near = no_cache(), np.float32(np.inf)
+        exact = paths.irradiance(lit[1]).mean()
+    for irradiance, solver in found:
+        assert len(solver.vpls.bounce) > 500
+        assert irradiance.mean() == pytest.approx(exact, rel=0.1)
+
+
+def test_gather_rays_carry_all_where_no_light_is_found(room, path_traced):
+    tables, points = room
+    solver = ImportanceSampling(samples=16, gather=16, seed=3)
+    solver.cache_light(tables, points, paths=20000)
+    solver.prepare(tables, points, 1024, particles=lambda *_: (Vpls.allocate(0), 0))
+    assert solver.irradiance(points).mean() == pytest.approx(path_traced.mean(), rel=0.03)
+
+
+def test_lamps_that_glossy_surfaces_do_not_see_are_not_reflected_by_them(build):
+    floor = build.geometry(*build.quads([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]))
+    materials = build.glossy_materials((0.0, 0.0), albedo=0.8, roughness=0.3)
+    for seen in (True, False):
+        lamp = build.lamp(sc.POINT, 1.0, (0, 0, 1))
+        lamp.visibility[:] = sc.ALL_RAYS if seen else sc.ALL_RAYS & ~sc.GLOSSY
+        scene = build.scene(floor, materials, lamps=lamp)
+        with RayScene(floor.vertices, floor.triangles) as rays:
+            tables = transport(floor, materials.tables, rays.tables, build_emitters(scene))
+            lights, _ = trace_by_power(tables, 256, 1, seed=1)
+            probes, _ = trace_probes(tables, points_at([(0, 0, 0.5)], [(0, 0, -1)]), 64, 1)
+        assert (len(lights.bounce) > 0) == seen
+        assert (probes.direct.max() > 0) == seen

@@ -692,6 +692,39 @@ def test_a_sun_over_a_wide_land_leaves_particles_to_a_lamp():
     assert abs(found[1:3, 1:3].sum() / expected[1:3, 1:3].sum() - 1) < 0.01
 
 
+THERE = dict(position=(20, -12, 15), towards=(-20, 11, -14))
+DISTANT = {
+    "point": ([lamp(sc.POINT, (10, 5, 2), THERE["position"])], {}),
+    "sphere": ([lamp(sc.POINT, (10, 5, 2), THERE["position"], radius=2)], {}),
+    "soft": ([lamp(sc.POINT, (10, 5, 2), THERE["position"], radius=2, soft=1)], {}),
+    "spot": ([lamp(sc.SPOT, 10, **THERE, angle=1.6, blend=0.5, radius=0.4)], {}),
+    "cut spot": ([lamp(sc.SPOT, 10, THERE["position"], (-20, 12, -13), angle=0.35, blend=1)], {}),
+    "rectangle": ([lamp(sc.AREA, 10, **THERE, size=(2, 3))], {}),
+    "spread": ([lamp(sc.AREA, 10, **THERE, size=(2, 3), shape=sc.ELLIPSE, angle=2)], {}),
+    "mesh": ([], dict(quad=(RECEIVER, [(20, -12, 15), (20, -9, 16), (19, -9, 17), (19, -12, 16)]), material=[0, 1], surfaces=((0.5, 0), (0, 9)))),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DISTANT)
+def test_particles_of_lamps_far_off_are_drawn_to_a_place(name):
+    rows, options = DISTANT[name]
+    light = lit(*rows, **options)
+    near = focused(light.emitters, np.random.default_rng(3).uniform((-1, -1, 0), (1, 1, 1.5), (500, 3)))
+    expected = cell_irradiance(light)[1:3, 1:3]
+    found, power, _ = emitted(near, 2**18)
+    assert np.allclose(power, light.emitters.flux.sum(0), rtol=0.02)
+    assert np.abs(found[1:3, 1:3] / expected - 1).max() < 0.02
+    few = [[emitted(e, 2**12, seed=seed)[0][1:3, 1:3].sum() for seed in range(8)] for e in (near, light.emitters)]
+    assert np.std(few[0]) < (1.5 if name == "cut spot" else 0.4) * np.std(few[1])  # whose own cone is narrow
+
+
+def test_lamps_far_off_leave_particles_to_a_near_one():
+    light = lit(lamp(sc.POINT, 1e4, (200, 0, 100)), lamp(sc.POINT, 1), lamp(sc.SPOT, 1e3, (50, 0, 50), (-1, 0, -1), angle=0.1))
+    near = focused(light.emitters, np.random.default_rng(3).uniform(-1, 1, (500, 3)))
+    assert emitted(near, 2**12)[2].min() > 2**12 / 50
+    assert emitted(near, 2**18)[0][1:3, 1:3].sum() == pytest.approx(cell_irradiance(light)[1:3, 1:3].sum(), rel=0.01)
+
+
 def test_no_place_to_draw_particles_to():
     light = lit(lamp(sc.SUN, 1), world=0.1)
     everywhere = np.random.default_rng(3).uniform(*light.emitters.box, (500, 3))

@@ -206,6 +206,13 @@ def test_a_limit_of_bounces_is_named_in_a_warning(stage):
     assert [warning for warning in stage.extract().warnings if "Max Bounces 1" in warning and f"'{lamp.name}'" in warning]
 
 
+def test_a_lamp_for_glossy_rays_only_is_named_in_a_warning(stage):
+    stage.cube()
+    lamp = stage.lamp("POINT", DOWN_FROM, energy=50)
+    lamp.visible_diffuse = False
+    assert [warning for warning in stage.extract().warnings if "diffuse rays" in warning and f"'{lamp.name}'" in warning]
+
+
 def test_nodes_without_surface_are_dark(stage):
     stage.cube()
     with_nodes(stage, lambda tree, emission: tree.nodes.remove(emission))
