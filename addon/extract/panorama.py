@@ -12,6 +12,7 @@ import math
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,11 +46,15 @@ def render_panorama(world: bpy.types.World, frame: int, width: int, height: int)
     """
     with tempfile.TemporaryDirectory() as folder, _stage(world, frame) as (scene, copy):
         path = Path(folder) / "world.exr"
-        discs = [node for node in copy.node_tree.nodes if _has_disc(node)] if copy.node_tree else []
-        for node in discs:
-            node.sun_disc = False
-        radiance = _shoot(scene, (width, height), 1, path)
-        suns = [_measure_sun(scene, node, path) for node in discs]
+        discs = [node for node in _nodes(copy.node_tree, set()) if _has_disc(node)] if copy.node_tree else []
+        try:
+            for node in discs:
+                node.sun_disc = False
+            radiance = _shoot(scene, (width, height), 1, path)
+            suns = [_measure_sun(scene, node, path) for node in discs]
+        finally:  # groups are no copies
+            for node in discs:
+                node.sun_disc = True
     return radiance, [sun for sun in suns if sun.irradiance.any()]
 
 
@@ -132,11 +137,20 @@ def _freeze_light_path(tree: bpy.types.ShaderNodeTree) -> None:
                 tree.links.new(value, link.to_socket)
 
 
+def _nodes(tree: bpy.types.ShaderNodeTree, seen: set[bpy.types.ShaderNodeTree]) -> Iterator[bpy.types.Node]:
+    """The nodes of a tree and of the groups in it, each once."""
+    seen.add(tree)
+    for node in tree.nodes:
+        yield node
+        if node.type == "GROUP" and node.node_tree is not None and node.node_tree not in seen:
+            yield from _nodes(node.node_tree, seen)
+
+
 def _has_disc(node: bpy.types.Node) -> bool:
-    """Whether a node draws a sun disc in a direction that is known."""
+    """Whether a node draws a sun disc in a direction that is known: these models have no input, and what is linked to a hidden one is ignored."""
     if node.type != "TEX_SKY" or node.sky_type not in _DISC_MODELS or not node.sun_disc:
         return False
-    return not any(socket.is_linked for socket in node.inputs)
+    return not any(socket.is_linked and not socket.is_unavailable for socket in node.inputs)
 
 
 def _shoot(

@@ -26,6 +26,7 @@ Cycles = Literal["here", "apart", "not"]
 _MAX_WIDTH = 4096
 _WIDTH = 1024  # of a rendered panorama whose nodes name no larger image
 _CACHE_BYTES = 2**30
+_RENDERED_AS = 1  # raised where a world is rendered otherwise than before: what is kept of it then counts no more
 SUN_OF_SKY = " (sun)"  # after the world's name: the lamp that shines as its sun disc does
 
 
@@ -169,7 +170,7 @@ def _rendered(
     """The panorama and suns of any world, from the cache or by Cycles, if that may run."""
     widths = [node.image.size[0] for node in tree.nodes if node.type == "TEX_ENVIRONMENT" and node.image is not None]
     width = min(max([_WIDTH, *widths]), _MAX_WIDTH)
-    stored = cache_folder() / f"{fingerprint(tree, width)}.npz"
+    stored = cache_folder() / f"{fingerprint(tree, width, _RENDERED_AS)}.npz"
     with suppress(OSError, ValueError, KeyError), np.load(stored) as kept:  # a damaged file is rendered again
         return kept["radiance"], unpack_suns(kept["suns"])
     if cycles == "not":

@@ -171,13 +171,24 @@ def test_tilted_environment_is_rendered(stage, sky, tmp_path, monkeypatch, cycle
 
 
 @pytest.mark.slow
-def test_sun_disc_of_a_sky_becomes_a_lamp_of_the_same_light(stage, sky, monkeypatch, cycles_irradiance):
+@pytest.mark.parametrize("where", ["plain", "turned", "grouped"])
+def test_sun_disc_of_a_sky_becomes_a_lamp_of_the_same_light(stage, sky, monkeypatch, cycles_irradiance, where):
     monkeypatch.setattr(room, "_WIDTH", 256)
     tree, background = sky
-    node = tree.nodes.new("ShaderNodeTexSky")
+    within = bpy.data.node_groups.new("group", "ShaderNodeTree") if where == "grouped" else tree
+    node = within.nodes.new("ShaderNodeTexSky")
     node.sky_type = "NISHITA" if bpy.app.version < (5, 0) else "SINGLE_SCATTERING"
     node.sun_elevation, node.sun_rotation = 0.7, 2.0
-    tree.links.new(node.outputs[0], background.inputs["Color"])
+    color = node.outputs[0]
+    if where == "turned":  # which these models ignore
+        tree.links.new(tree.nodes.new("ShaderNodeMapping").outputs[0], node.inputs[0])
+    elif where == "grouped":
+        within.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
+        within.links.new(color, within.nodes.new("NodeGroupOutput").inputs[0])
+        group = tree.nodes.new("ShaderNodeGroup")
+        group.node_tree = within
+        color = group.outputs[0]
+    tree.links.new(color, background.inputs["Color"])
     background.inputs["Strength"].default_value = 0.1
     scene = stage.extract()
     assert scene.lamps.kind.tolist() == [SUN]
