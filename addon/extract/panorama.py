@@ -104,6 +104,7 @@ def _stage(world: bpy.types.World, frame: int):
         copy.cycles_visibility.camera = True
         copy.cycles.sampling_method = "NONE"  # nothing here is lit by it, and its map takes longer than the picture
         if copy.node_tree is not None:
+            _unlink_hidden(copy.node_tree)
             _freeze_light_path(copy.node_tree)
         scene.render.engine = "CYCLES"
         scene.render.resolution_percentage = 100
@@ -125,6 +126,12 @@ def _stage(world: bpy.types.World, frame: int):
         bpy.data.worlds.remove(copy)
         if not had_result and "Render Result" in bpy.data.images:
             bpy.data.images.remove(bpy.data.images["Render Result"])
+
+
+def _unlink_hidden(tree: bpy.types.ShaderNodeTree) -> None:
+    """Remove the links to sockets that are not there for what their node is set to: Cycles ignores them in the user's tree, but not in a copy of it."""
+    for link in [link for link in tree.links if link.to_socket.is_unavailable]:
+        tree.links.remove(link)
 
 
 def _freeze_light_path(tree: bpy.types.ShaderNodeTree) -> None:
