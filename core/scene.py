@@ -146,11 +146,13 @@ class World:
         x has the azimuth atan2(d.y, d.x) = pi - 2 pi (x + .5) / W, as Cycles' direction_to_equirectangular.
         (1, 1, 3) is a constant world.
     visibility: bits of ray kinds.  group: name of its light group ('' for none).
+    seen: (H, W, 3) float32, what the camera sees instead, past surfaces that let light through as well; None for the same.
     """
 
     radiance: np.ndarray
     visibility: int = ALL_RAYS
     group: str = ""
+    seen: np.ndarray | None = None
 
 
 @dataclass
