@@ -76,7 +76,7 @@ def _sound_materials(materials: Materials, warnings: list[str]) -> Materials:
 def _sound_lamps(lamps: Lamps, warnings: list[str]) -> Lamps:
     """Lamps of which anything is no number are left out; those without finite emission are named where they are built."""
     keep = np.ones(len(lamps), bool)
-    for values in (lamps.position, lamps.axes, lamps.radius, lamps.angle, lamps.blend, lamps.size):
+    for values in (lamps.position, lamps.axes, lamps.radius, lamps.angle, lamps.blend, lamps.size, lamps.falloff):
         keep &= (np.abs(values) <= LARGEST).all(axis=tuple(range(1, values.ndim)))
     if keep.all():
         return lamps
