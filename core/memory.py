@@ -22,6 +22,7 @@ def estimate(scene: Scene, settings: RenderSettings) -> int:
     pixels = (camera.border[2] - camera.border[0]) * (camera.border[3] - camera.border[1]) if camera else 0
     points = pixels * min(POINTS_A_PIXEL, settings.pixel_samples)
     held = geometry.attributes.nbytes + tables.texels_u8.nbytes + tables.texels_f32.nbytes + scene.world.radiance.nbytes
+    held += 0 if scene.world.seen is None else scene.world.seen.nbytes
     return int(BASE + held + TRIANGLE * len(geometry.triangles) + PIXEL * pixels + POINT * points + VPL * settings.vpls)
 
 

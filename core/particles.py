@@ -31,8 +31,8 @@ import numpy as np
 
 from .jit import inlined, kernel, leaf
 from .lamps.emission import FOR_EVER, emit
-from .lamps.shapes import AWAY_FROM_CENTRE
-from .lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY
+from .lamps.shapes import AWAY_FROM_CENTRE, falloff
+from .lamps.tables import CASTS_SHADOW, FADING, NOMINAL, RADIUS, SEEN_BY_GLOSSY, SOFT
 from .rays.offsets import hit_point, offset_origin
 from .rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
 from .rays.trace import ALL, intersect_packet
@@ -129,6 +129,18 @@ def is_ahead(vpls, j, x, y, z):
 def _flattened(c, sharpness):
     """c, between a light's direction and the normal of the surface that cuts it off, after what stretches the light to a cosine."""
     return c / math.sqrt(c * c + (_1 - c * c) / (_1 + sharpness))
+
+
+@leaf
+def _faded(emitters, e, near, t):
+    """How much more a lamp of a falloff of its own shines at a distance t than where its particles are born; near: as of `emit`."""
+    lamps = emitters.lamps
+    if emitters.flags[e] & SOFT:
+        # The line passes the centre at h, with near = h^2 / sqrt(r^2 - h^2), and meets the disk that faces this point beyond it.
+        radius = lamps[e, RADIUS]
+        h2 = np.float32(0.5) * near * (np.float32(math.sqrt(near * near + np.float32(4.0) * radius * radius)) - near)
+        t += h2 / max(t, np.float32(1e-6))
+    return falloff(lamps, e, t) / lamps[e, NOMINAL]
 
 
 @leaf
@@ -335,6 +347,10 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     if not seen & DIFFUSE or (bounce == 0 and flown[lane] < before[lane] + near[lane]):
                         flying[lane] = False
                         continue
+                    if bounce == 0 and scene.emitters.flags[emitter[lane]] & FADING:
+                        faded = _faded(scene.emitters, emitter[lane], near[lane], flown[lane] - before[lane])
+                        for c in range(3):
+                            flux[lane, c] *= faded
                     if bounce == 0 and np.float32(2.0) * flown[lane] < far[lane] < FOR_EVER and scene.emitters.kind[emitter[lane]] == SPOT:
                         for c in range(3):
                             flux[lane, c] *= AWAY_FROM_CENTRE

@@ -98,6 +98,8 @@ class Lamps:
     blend: (L,) float32, of a spot.  size: (L, 2) float32, full widths of an area lamp (m).
     shape: (L,) int32.  visibility: (L,) uint8.  cast_shadow: (L,) uint8.
     names: L names;  groups: L light group names ('' for none).
+    falloff: (L, 2) float32, exponent k and smoothing s (m^2): at a distance t the light is t^k t^2 / (s + t^2) times what it else were, for
+        all lamps but suns; zeros where None is given.
     """
 
     kind: np.ndarray
@@ -114,6 +116,11 @@ class Lamps:
     cast_shadow: np.ndarray
     names: list[str]
     groups: list[str]
+    falloff: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if self.falloff is None:
+            self.falloff = np.zeros((len(self.kind), 2), np.float32)
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -146,11 +153,13 @@ class World:
         x has the azimuth atan2(d.y, d.x) = pi - 2 pi (x + .5) / W, as Cycles' direction_to_equirectangular.
         (1, 1, 3) is a constant world.
     visibility: bits of ray kinds.  group: name of its light group ('' for none).
+    seen: (H, W, 3) float32, what the camera sees instead, past surfaces that let light through as well; None for the same.
     """
 
     radiance: np.ndarray
     visibility: int = ALL_RAYS
     group: str = ""
+    seen: np.ndarray | None = None
 
 
 @dataclass

@@ -76,7 +76,7 @@ def _sound_materials(materials: Materials, warnings: list[str]) -> Materials:
 def _sound_lamps(lamps: Lamps, warnings: list[str]) -> Lamps:
     """Lamps of which anything is no number are left out; those without finite emission are named where they are built."""
     keep = np.ones(len(lamps), bool)
-    for values in (lamps.position, lamps.axes, lamps.radius, lamps.angle, lamps.blend, lamps.size):
+    for values in (lamps.position, lamps.axes, lamps.radius, lamps.angle, lamps.blend, lamps.size, lamps.falloff):
         keep &= (np.abs(values) <= LARGEST).all(axis=tuple(range(1, values.ndim)))
     if keep.all():
         return lamps
@@ -89,11 +89,12 @@ def _sound_lamps(lamps: Lamps, warnings: list[str]) -> Lamps:
 
 def _sound_world(world: World, warnings: list[str]) -> World:
     """Pixels that are no number are black."""
-    if _is_sound(world.radiance):
+    panoramas = [panorama for panorama in (world.radiance, world.seen) if panorama is not None]
+    number = sum(int(np.count_nonzero(~(np.abs(panorama) <= LARGEST).all(axis=-1))) for panorama in panoramas if not _is_sound(panorama))
+    if not number:
         return world
-    number = int(np.count_nonzero(~(np.abs(world.radiance) <= LARGEST).all(axis=-1)))
     warnings.append(f"{number:,} pixels of the world are no number (NaN or infinite): they are black; save its image again without them")
-    return replace(world, radiance=_within(world.radiance))
+    return replace(world, radiance=_within(world.radiance), seen=None if world.seen is None else _within(world.seen))
 
 
 def _line(kind: str, name: str, what: str) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...core.scene import AREA, DIFFUSE, ELLIPSE, GLOSSY, POINT, RECTANGLE, SPOT, SUN, Lamps, Skipped
 from .geometry import instance_visibility, light_group
-from .nodes import node_tree, surface
+from .nodes import faded_emission, node_tree
 
 _KINDS = {"POINT": POINT, "SPOT": SPOT, "SUN": SUN, "AREA": AREA}
 # Cycles treats a spread of zero as parallel light; the narrowest softbox here has the same power.
@@ -44,6 +44,7 @@ class Lamp:
     shape: int = RECTANGLE
     cast_shadow: bool = True
     group: str = ""
+    falloff: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass
@@ -79,7 +80,7 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
         if not np.isfinite(matrix).all() or not np.linalg.norm(matrix[:3, :3], axis=0).all():
             found.skip(ob.name, "has a scale of zero or an invalid position: reset its transform")
             continue
-        power = _power(light, ob.name, found.warnings)
+        power, falloff = _power(light, ob.name, found.warnings)
         if not power.any():
             found.skip(ob.name, "has no power")
         elif (power < 0).any():
@@ -96,6 +97,7 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
                 visibility=visibility,
                 cast_shadow=light.use_shadow,
                 group=light_group(instance),
+                falloff=falloff,
             )
             _SHAPERS[light.type](lamp, light, np.linalg.norm(matrix[:3, :3], axis=0), found)
             if lamp.emission.any():
@@ -137,24 +139,26 @@ def to_arrays(lamps: list[Lamp], origin: np.ndarray) -> Lamps:
         shape=column("shape", np.int32),
         visibility=column("visibility", np.uint8),
         cast_shadow=column("cast_shadow", np.uint8),
+        falloff=column("falloff"),
         names=[lamp.name for lamp in lamps],
         groups=[lamp.group for lamp in lamps],
     )
 
 
-def _power(light: bpy.types.Light, name: str, warnings: list[str]) -> np.ndarray:
-    """(3,) power with colour, temperature, exposure and constant nodes."""
+def _power(light: bpy.types.Light, name: str, warnings: list[str]) -> tuple[np.ndarray, tuple[float, float]]:
+    """(3,) power with colour, temperature, exposure and constant nodes, and the falloff that Light Falloff nodes give it, as `Lamps` has it."""
     power = np.array(light.color, np.float64) * light.energy * 2.0**light.exposure
     if light.use_temperature:
         power *= np.array(light.temperature_color, np.float64)
     if node_tree(light) is None:
-        return power
-    shader = surface(light)
-    factor = np.zeros(3) if shader is None else shader.emission()
-    if factor is None:
+        return power, (0.0, 0.0)
+    factor, falloff = faded_emission(light)
+    if factor is not None and light.type == "SUN":
+        falloff = (falloff[0], 0.0)  # infinitely far away, where nothing is smoothed
+    if factor is None or (light.type == "SUN" and falloff[0]):
         warnings.append(f"the nodes of lamp '{name}' vary or are not understood: it shines evenly, with its own power and colour")
-        return power
-    return power * factor
+        return power, (0.0, 0.0)
+    return power * factor, falloff
 
 
 def _shape_point(lamp: Lamp, light: bpy.types.PointLight, scale: np.ndarray, found: CollectedLamps) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from ...core.surfaces.textures import TexturePool
 from ..materials.builder import Constant, Program
 from ..materials.registry import Unsupported
-from ..materials.tree import Context, Scope
+from ..materials.tree import Context, Fading, Scope
 
 
 class _NoBaker:
@@ -53,11 +53,31 @@ def node_tree(data: bpy.types.Light | bpy.types.World) -> bpy.types.ShaderNodeTr
     return data.node_tree if bpy.app.version >= (5, 0) or data.use_nodes else None
 
 
-def surface(data: bpy.types.Light | bpy.types.World) -> Shader | None:
+def faded_emission(light: bpy.types.Light) -> tuple[np.ndarray | None, tuple[float, float]]:
+    """(3,) emission of a lamp's nodes, None where it is not known, and its falloff as `core.scene.Lamps` has it.
+
+    Known is what is constant, and what is in proportion to Light Falloff nodes that are all alike.
+    """
+    values = []
+    for strength in (1.0, 0.0, 2.0):
+        fading = Fading(strength)
+        shader = surface(light, fading)
+        value = np.zeros(3) if shader is None else shader.emission()
+        if value is None or not fading.found:
+            return value, (0.0, 0.0)
+        values.append(value)
+    own, none, double = values
+    if fading.found == {(0.0, 0.0)}:
+        return own, (0.0, 0.0)
+    proportional = len(fading.found) == 1 and not none.any() and np.allclose(double, 2 * own)
+    return (own, fading.found.pop()) if proportional else (None, (0.0, 0.0))
+
+
+def surface(data: bpy.types.Light | bpy.types.World, fading: Fading | None = None) -> Shader | None:
     """The node that feeds the surface of the tree's output, None where nothing does: that is black."""
     tree = node_tree(data)
     output = tree.get_output_node("CYCLES")
     if output is None:
         return None
-    scope = Scope(Context(data, Program(), TexturePool(), [], _NoBaker()), tree)
+    scope = Scope(Context(data, Program(), TexturePool(), [], _NoBaker(), fading=fading), tree)
     return Shader(scope, output).source("Surface")

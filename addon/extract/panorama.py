@@ -12,6 +12,7 @@ import math
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,8 +22,9 @@ import numpy as np
 
 # Sky models that have a sun disc.
 _DISC_MODELS = {"NISHITA", "SINGLE_SCATTERING", "MULTIPLE_SCATTERING"}
-# What a light path is taken to be: the ray that left a diffuse surface.
-_DIFFUSE_RAY = {"Is Diffuse Ray": 1.0, "Is Reflection Ray": 1.0, "Ray Depth": 1.0, "Diffuse Depth": 1.0, "Ray Length": 1e10}
+# What a light path is taken to be: the ray that left a diffuse surface, or that of the camera.
+DIFFUSE_RAY = {"Is Diffuse Ray": 1.0, "Is Reflection Ray": 1.0, "Ray Depth": 1.0, "Diffuse Depth": 1.0, "Ray Length": 1e10}
+CAMERA_RAY = {"Is Camera Ray": 1.0, "Ray Length": 1e10}
 _SUN_PIXELS, _SUN_SAMPLES = 32, 64
 
 
@@ -38,14 +40,16 @@ class Sun:
     angle: float
 
 
-def render_panorama(world: bpy.types.World, frame: int, width: int, height: int) -> tuple[np.ndarray, list[Sun]]:
+def render_panorama(
+    world: bpy.types.World, frame: int, width: int, height: int, ray: dict[str, float] = DIFFUSE_RAY
+) -> tuple[np.ndarray, list[Sun]]:
     """(height, width, 3) float32 radiance, row 0 at the top, and the suns that it leaves out.
 
-    Each pixel is the radiance of its middle.  `world` is no evaluated one.
+    Each pixel is the radiance of its middle.  `world` is no evaluated one.  ray: what Light Path nodes tell, by output; 0 for the others.
     """
-    with tempfile.TemporaryDirectory() as folder, _stage(world, frame) as (scene, copy):
+    with tempfile.TemporaryDirectory() as folder, _stage(world, frame, ray) as (scene, copy):
         path = Path(folder) / "world.exr"
-        discs = [node for node in copy.node_tree.nodes if _has_disc(node)] if copy.node_tree else []
+        discs = [node for node in all_nodes(copy.node_tree) if _has_disc(node)] if copy.node_tree else []
         for node in discs:
             node.sun_disc = False
         radiance = _shoot(scene, (width, height), 1, path)
@@ -53,7 +57,9 @@ def render_panorama(world: bpy.types.World, frame: int, width: int, height: int)
     return radiance, [sun for sun in suns if sun.irradiance.any()]
 
 
-def render_panorama_apart(world: bpy.types.World, frame: int, width: int, height: int) -> tuple[np.ndarray, list[Sun]]:
+def render_panorama_apart(
+    world: bpy.types.World, frame: int, width: int, height: int, ray: dict[str, float] = DIFFUSE_RAY
+) -> tuple[np.ndarray, list[Sun]]:
     """`render_panorama` in a process of its own.
 
     Raises:
@@ -63,7 +69,7 @@ def render_panorama_apart(world: bpy.types.World, frame: int, width: int, height
         task = Path(folder) / "task.json"
         library = Path(folder) / "world.blend"
         bpy.data.libraries.write(str(library), {world}, path_remap="ABSOLUTE")
-        task.write_text(json.dumps({"world": world.name, "frame": frame, "width": width, "height": height}))
+        task.write_text(json.dumps({"world": world.name, "frame": frame, "width": width, "height": height, "ray": ray}))
         blender = [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1", "--python", __file__, "--"]
         command = blender if bpy.app.binary_path else [sys.executable, __file__]
         run = subprocess.run([*command, folder], capture_output=True, text=True, check=False)
@@ -84,13 +90,14 @@ def unpack_suns(rows: np.ndarray) -> list[Sun]:
 
 
 @contextmanager
-def _stage(world: bpy.types.World, frame: int):
-    """A scene with nothing but a camera and a copy of the world, gone afterwards."""
+def _stage(world: bpy.types.World, frame: int, ray: dict[str, float]):
+    """A scene with nothing but a camera and a copy of the world and its node groups, gone afterwards."""
     had_result = "Render Result" in bpy.data.images
     scene = bpy.data.scenes.new("Lumigate world")
     data = bpy.data.cameras.new("Lumigate world")
     camera = bpy.data.objects.new("Lumigate world", data)
     copy = world.copy()
+    groups = {}
     try:
         scene.collection.objects.link(camera)
         scene.camera = camera
@@ -99,7 +106,10 @@ def _stage(world: bpy.types.World, frame: int):
         copy.cycles_visibility.camera = True
         copy.cycles.sampling_method = "NONE"  # nothing here is lit by it, and its map takes longer than the picture
         if copy.node_tree is not None:
-            _freeze_light_path(copy.node_tree)
+            _own_groups(copy.node_tree, groups)
+            for tree in (copy.node_tree, *groups.values()):
+                _unlink_hidden(tree)
+                _freeze_light_path(tree, ray)
         scene.render.engine = "CYCLES"
         scene.render.resolution_percentage = 100
         scene.render.use_compositing = scene.render.use_sequencer = False
@@ -118,25 +128,54 @@ def _stage(world: bpy.types.World, frame: int):
         bpy.data.objects.remove(camera)
         bpy.data.cameras.remove(data)
         bpy.data.worlds.remove(copy)
+        for group in groups.values():
+            bpy.data.node_groups.remove(group)
         if not had_result and "Render Result" in bpy.data.images:
             bpy.data.images.remove(bpy.data.images["Render Result"])
 
 
-def _freeze_light_path(tree: bpy.types.ShaderNodeTree) -> None:
-    """Replace what Light Path nodes say of a camera ray by what they say of a diffuse one."""
+def _unlink_hidden(tree: bpy.types.ShaderNodeTree) -> None:
+    """Remove the links to sockets that are not there for what their node is set to: Cycles ignores them in the user's tree, but not in a copy of it."""
+    for link in [link for link in tree.links if link.to_socket.is_unavailable]:
+        tree.links.remove(link)
+
+
+def _own_groups(tree: bpy.types.ShaderNodeTree, copies: dict[bpy.types.ShaderNodeTree, bpy.types.ShaderNodeTree]) -> None:
+    """Put copies in the place of the groups in a tree, and of those in them; `copies` by what they are of."""
+    for node in tree.nodes:
+        if node.type == "GROUP" and node.node_tree is not None:
+            group = node.node_tree
+            if group not in copies:
+                copies[group] = group.copy()
+                _own_groups(copies[group], copies)
+            node.node_tree = copies[group]
+
+
+def _freeze_light_path(tree: bpy.types.ShaderNodeTree, ray: dict[str, float]) -> None:
+    """Replace what Light Path nodes say of the ray that is traced by what they say of another."""
     for node in [node for node in tree.nodes if node.type == "LIGHT_PATH"]:
         for output in node.outputs:
             for link in list(output.links):
                 value = tree.nodes.new("ShaderNodeValue").outputs[0]
-                value.default_value = _DIFFUSE_RAY.get(output.name, 0.0)
+                value.default_value = ray.get(output.name, 0.0)
                 tree.links.new(value, link.to_socket)
 
 
+def all_nodes(tree: bpy.types.ShaderNodeTree) -> Iterator[bpy.types.Node]:
+    """The nodes of a tree and of the groups in it, each once."""
+    trees = [tree]
+    for each in trees:
+        for node in each.nodes:
+            yield node
+            if node.type == "GROUP" and node.node_tree is not None and node.node_tree not in trees:
+                trees.append(node.node_tree)
+
+
 def _has_disc(node: bpy.types.Node) -> bool:
-    """Whether a node draws a sun disc in a direction that is known."""
+    """Whether a node draws a sun disc in a direction that is known: these models have no input, and what is linked to a hidden one is ignored."""
     if node.type != "TEX_SKY" or node.sky_type not in _DISC_MODELS or not node.sun_disc:
         return False
-    return not any(socket.is_linked for socket in node.inputs)
+    return not any(socket.is_linked and not socket.is_unavailable for socket in node.inputs)
 
 
 def _shoot(

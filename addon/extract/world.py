@@ -15,17 +15,18 @@ import numpy as np
 import platformdirs
 
 from ...core.errors import SceneError
-from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, SUN, TRANSMISSION, World
+from ...core.scene import ALL_RAYS, CAMERA, DIFFUSE, GLOSSY, SHADOW, SUN, TRANSMISSION, World
 from .fingerprint import fingerprint
 from .lamps import FEW_BOUNCES, Lamp
 from .nodes import Shader, node_tree, surface
-from .panorama import Sun, pack_suns, render_panorama, render_panorama_apart, unpack_suns
+from .panorama import CAMERA_RAY, DIFFUSE_RAY, Sun, all_nodes, pack_suns, render_panorama, render_panorama_apart, unpack_suns
 
 # Where Cycles may compute: in the open file, in a process of its own (a render runs in this one), or not now.
 Cycles = Literal["here", "apart", "not"]
 _MAX_WIDTH = 4096
 _WIDTH = 1024  # of a rendered panorama whose nodes name no larger image
 _CACHE_BYTES = 2**30
+_RENDERED_AS = 1  # raised where a world is rendered otherwise than before: what is kept of it then counts no more
 SUN_OF_SKY = " (sun)"  # after the world's name: the lamp that shines as its sun disc does
 
 
@@ -60,7 +61,7 @@ def extract_world(
         found.world.radiance[:] = world.color
         return found
     output = tree.get_output_node("CYCLES")
-    for node in tree.nodes:
+    for node in all_nodes(tree):
         if node.type in ("TEX_ENVIRONMENT", "TEX_IMAGE") and node.image is not None and not node.image.size[0]:
             found.warnings.append(
                 f"image '{node.image.name}' of world '{world.name}' cannot be read: relink its file ({node.image.filepath})"
@@ -80,20 +81,32 @@ def extract_world(
         return found
     radiance = _environment_image(shader)
     if radiance is None:
-        if any(node.type == "LIGHT_PATH" for node in tree.nodes):
-            found.warnings.append(f"world '{world.name}' depends on the light path: all rays see what diffuse rays see")
-        rendered = _rendered(scene, world, tree, cycles)
+        told = {end.name for node in all_nodes(tree) if node.type == "LIGHT_PATH" for end in node.outputs if end.is_linked}
+        if told - {"Is Camera Ray"}:
+            found.warnings.append(f"world '{world.name}' depends on the light path: all rays but the camera's see what diffuse rays see")
+        rendered = _rendered(scene, world, tree, cycles, DIFFUSE_RAY)
         if rendered is None:
             found.warnings.append(
                 f"world '{world.name}' is black until Cycles has rendered it: check and prepare the scene in Lumigate's panel"
             )
             return found
         radiance, suns = rendered
-        found.suns = [_sun_lamp(world, sun, found.world.visibility) for sun in suns]
-    found.world.radiance = np.maximum(radiance, 0, dtype=np.float32)
-    if np.ptp(radiance.reshape(-1, 3), axis=0).max() <= 1e-6 * radiance.max():
-        found.world.radiance = radiance[:1, :1].copy()
+        visibility = found.world.visibility
+        if told:
+            seen = _rendered(scene, world, tree, cycles, CAMERA_RAY)
+            if seen is not None:
+                found.world.seen = _reduced(seen[0])
+                visibility &= ALL_RAYS if seen[1] else ~CAMERA
+        found.suns = [_sun_lamp(world, sun, visibility) for sun in suns]
+    found.world.radiance = _reduced(radiance)
     return found
+
+
+def _reduced(radiance: np.ndarray) -> np.ndarray:
+    """A panorama without negative light, of a single pixel where it is constant."""
+    if np.ptp(radiance.reshape(-1, 3), axis=0).max() <= 1e-6 * radiance.max():
+        radiance = radiance[:1, :1]
+    return np.maximum(radiance, 0, dtype=np.float32)
 
 
 def _visibility(world: bpy.types.World) -> int:
@@ -164,19 +177,19 @@ def _shrink(pixels: np.ndarray, width: int) -> np.ndarray:
 
 
 def _rendered(
-    scene: bpy.types.Scene, world: bpy.types.World, tree: bpy.types.NodeTree, cycles: Cycles
+    scene: bpy.types.Scene, world: bpy.types.World, tree: bpy.types.NodeTree, cycles: Cycles, ray: dict[str, float]
 ) -> tuple[np.ndarray, list[Sun]] | None:
-    """The panorama and suns of any world, from the cache or by Cycles, if that may run."""
-    widths = [node.image.size[0] for node in tree.nodes if node.type == "TEX_ENVIRONMENT" and node.image is not None]
+    """The panorama and suns of any world as a ray sees them, from the cache or by Cycles, if that may run."""
+    widths = [node.image.size[0] for node in all_nodes(tree) if node.type == "TEX_ENVIRONMENT" and node.image is not None]
     width = min(max([_WIDTH, *widths]), _MAX_WIDTH)
-    stored = cache_folder() / f"{fingerprint(tree, width)}.npz"
+    stored = cache_folder() / f"{fingerprint(tree, width, _RENDERED_AS, ray)}.npz"
     with suppress(OSError, ValueError, KeyError), np.load(stored) as kept:  # a damaged file is rendered again
         return kept["radiance"], unpack_suns(kept["suns"])
     if cycles == "not":
         return None
     render = render_panorama_apart if cycles == "apart" else render_panorama
     try:
-        radiance, suns = render(world.original, scene.frame_current, width, width // 2)
+        radiance, suns = render(world.original, scene.frame_current, width, width // 2, ray)
     except (RuntimeError, OSError) as error:
         raise SceneError(f"Cycles cannot render world '{world.name}': {error}") from error
     with suppress(OSError):  # without a writable folder it is rendered each time

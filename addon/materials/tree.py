@@ -20,8 +20,22 @@ _SCALARS = ("VALUE", "INT", "BOOLEAN")
 
 
 @dataclass
+class Fading:
+    """What Light Falloff nodes do to a lamp.
+
+    strength: by which they multiply theirs, to be told apart.  found: (exponent, smoothing) of each, as `core.scene.Lamps.falloff`.
+    """
+
+    strength: float = 1.0
+    found: set[tuple[float, float]] = field(default_factory=set)
+
+
+@dataclass
 class Context:
-    """What the node functions of one material share."""
+    """What the node functions of one material share.
+
+    fading: of a lamp, where its Light Falloff nodes put down what they are; None where there is no distance to fade by.
+    """
 
     material: bpy.types.Material
     program: Program
@@ -30,6 +44,7 @@ class Context:
     baker: Baker
     objects: tuple[bpy.types.Object, ...] = ()
     memory: dict = field(default_factory=dict)
+    fading: Fading | None = None
 
     def warn(self, text: str) -> None:
         """One line for the user, once for each material."""

@@ -23,9 +23,12 @@ from .tables import (
     COS_OUTER,
     ELLIPTIC,
     ENERGY,
+    EXPONENT,
+    FADING,
     HALF_SPREAD,
     LAMP,
     LOWER,
+    NOMINAL,
     NORMAL,
     ONE_MINUS_COS,
     POSITION,
@@ -36,6 +39,7 @@ from .tables import (
     SHAPE,
     SHARP,
     SIZE,
+    SMOOTHING,
     SOFT,
     TAN_HALF_SPREAD,
     TEXTURED,
@@ -55,6 +59,7 @@ FEW = 8
 # Share of a material's mean radiance that its darkest textured triangles are drawn by: a few samples can miss a spark.
 _DEFENSIVE = 0.01
 _TEXTURE_SAMPLES = 16
+_TYPICAL = 0.25  # of the scene's diagonal: the distance at which the light of a lamp with a falloff of its own is compared with others'
 
 
 def _box(scene: Scene) -> np.ndarray:
@@ -89,6 +94,10 @@ def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
     flags = CASTS_SHADOW * (lamps.cast_shadow[keep] > 0) + SOFT * (sphere & (lamps.soft_falloff[keep] > 0)) + ELLIPTIC * ellipse
     for flag, kind_of_ray in ((SEEN_BY_GLOSSY, GLOSSY), (SEEN_BY_CAMERA, CAMERA), (SEEN_THROUGH_GLASS, TRANSMISSION)):
         flags = flags + flag * ((lamps.visibility[keep] & kind_of_ray) > 0)
+    exponent, smoothing = np.where(sun[:, None], 0, lamps.falloff[keep].astype(np.float64)).T
+    flags = flags + FADING * ((exponent > 0) | (smoothing > 0))
+    typical = _TYPICAL * np.linalg.norm(np.diff(box.astype(np.float64), axis=0))
+    nominal = typical**exponent * typical**2 / (typical**2 + smoothing) if typical > 0 else np.ones(len(keep))
     half = 0.5 * angle
 
     # Cycles: smoothstep((cos - cos_outer) / ((1 - cos_outer) blend)).
@@ -108,6 +117,7 @@ def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
     # Integral of cos (1 - tan / tan_half) over the cone of an area lamp's spread.
     spread_cosine = np.pi * (1 - np.where(area & ~full, half, 0.0) / np.where(area, tangent, 1.0))
     flux_factor = np.where(sphere, 2 * np.pi * solid_cosine, np.where(area, shape_area * spread_cosine, 0.0))
+    flux_factor *= nominal
     if sun.any():
         flux_factor[sun] = projected_box_area(box, axes[sun, 2])
 
@@ -117,7 +127,7 @@ def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
     bounds[:, AXIS : AXIS + 3] = -axes[:, 2]
     bounds[:, COS_O] = np.where(area | spot, 1.0, -1.0)
     bounds[:, COS_E] = np.where(area, np.where(full, 0.0, np.cos(half)), np.where(spot, cos_outer, 0.0))
-    bounds[:, ENERGY] = emission.mean(1) * np.where(area, shape_area, 1.0)
+    bounds[:, ENERGY] = emission.mean(1) * np.where(area, shape_area, 1.0) * nominal
 
     table = np.zeros((len(keep), LAMP), f)
     table[:, POSITION : POSITION + 3] = position
@@ -125,6 +135,7 @@ def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
     table[:, RADIUS], table[:, SIZE : SIZE + 2] = radius, size
     table[:, COS_OUTER], table[:, COS_INNER] = cos_outer, cos_inner
     table[:, ONE_MINUS_COS] = np.where(sun, 2 * np.sin(0.5 * half) ** 2, 0)
+    table[:, EXPONENT], table[:, SMOOTHING], table[:, NOMINAL] = exponent, smoothing, nominal
     table[:, HALF_SPREAD], table[:, TAN_HALF_SPREAD] = half, np.where(area, tangent, np.inf)
     return keep, kind, flags, emission * scale[:, None], emission * flux_factor[:, None], bounds, table
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..jit import inlined, leaf
 from ..scene import AREA, SUN
-from .shapes import area_part, area_view, lamp_cone, spot_attenuation, spread_attenuation, triangle_view
+from .shapes import area_part, area_view, falloff, lamp_cone, spot_attenuation, spread_attenuation, triangle_view
 from .solid_angle import rectangle_angle, triangle_angle
 from .tables import (
     AREA_M2,
@@ -20,6 +20,7 @@ from .tables import (
     AXIS_Z,
     COS_OUTER,
     ELLIPTIC,
+    FADING,
     NORMAL,
     ONE_MINUS_COS,
     POSITION,
@@ -63,11 +64,8 @@ def _one_minus_cos_between(ax, ay, az, bx, by, bz):
 
 
 @leaf
-def lamp_along(emitters, e, px, py, pz, dx, dy, dz):
-    """Lamp e along the unit direction d from p -> (distance, share of its radiance); the share is 0 where it is not met.
-
-    e: a lamp (below `WORLD`).
-    """
+def _shape_along(emitters, e, px, py, pz, dx, dy, dz):
+    """`lamp_along` for what shines at any distance alike."""
     lamps, flags = emitters.lamps, emitters.flags[e]
     if emitters.kind[e] == SUN:
         off = _one_minus_cos_between(dx, dy, dz, lamps[e, AXIS_Z], lamps[e, AXIS_Z + 1], lamps[e, AXIS_Z + 2])
@@ -104,6 +102,18 @@ def lamp_along(emitters, e, px, py, pz, dx, dy, dz):
         t = d * along - half
     cosine = lamps[e, AXIS_Z] * dx + lamps[e, AXIS_Z + 1] * dy + lamps[e, AXIS_Z + 2] * dz
     return t, spot_attenuation(lamps, e, cosine)
+
+
+@leaf
+def lamp_along(emitters, e, px, py, pz, dx, dy, dz):
+    """Lamp e along the unit direction d from p -> (distance, share of its radiance); the share is 0 where it is not met.
+
+    e: a lamp (below `WORLD`).
+    """
+    t, share = _shape_along(emitters, e, px, py, pz, dx, dy, dz)
+    if emitters.flags[e] & FADING and share > _0:
+        share *= falloff(emitters.lamps, e, t)
+    return t, share
 
 
 @leaf

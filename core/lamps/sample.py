@@ -8,8 +8,8 @@ from ..jit import inlined
 from ..scene import AREA, SUN
 from ..surfaces.layout import EMISSION
 from ..surfaces.program import evaluate, reflected_view
-from .shapes import sample_area, sample_mesh_triangle, sample_point, sample_sun
-from .tables import ELLIPTIC, NORMAL, SOFT, TEXTURED, TRIANGLE, WORLD
+from .shapes import falloff, sample_area, sample_mesh_triangle, sample_point, sample_sun
+from .tables import ELLIPTIC, FADING, NORMAL, SOFT, TEXTURED, TRIANGLE, WORLD
 from .world import sample_world
 
 _INFINITY = np.float32(np.inf)
@@ -48,4 +48,6 @@ def sample_emitter(emitters, e, px, py, pz, nx, ny, nz, u1, u2, rows, surface):
         dx, dy, dz, t, w = sample_area(emitters.lamps, e, emitters.flags[e] & ELLIPTIC, px, py, pz, u1, u2)
     else:
         dx, dy, dz, t, w = sample_point(emitters.lamps, e, emitters.flags[e] & SOFT, px, py, pz, nx, ny, nz, u1, u2)
+    if emitters.flags[e] & FADING:
+        w *= falloff(emitters.lamps, e, t)
     return dx, dy, dz, t, r * w, g * w, b * w, u, v

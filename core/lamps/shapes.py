@@ -21,11 +21,13 @@ from .tables import (
     CORNERS,
     COS_INNER,
     COS_OUTER,
+    EXPONENT,
     NORMAL,
     ONE_MINUS_COS,
     POSITION,
     RADIUS,
     SIZE,
+    SMOOTHING,
     TAN_HALF_SPREAD,
 )  # fmt: skip
 
@@ -76,6 +78,16 @@ def spread_attenuation(lamps, i, tangent):
     if limit == _INFINITY:
         return _1
     return max(_0, _1 - tangent / limit)
+
+
+@inlined
+def falloff(lamps, i, t):
+    """By how much a lamp of a falloff of its own shines more at the distance t (m) than one without (Cycles: Light Falloff node)."""
+    factor = _1
+    if lamps[i, EXPONENT] > _HALF:
+        factor = t * t if lamps[i, EXPONENT] > np.float32(1.5) else t
+    smoothing = lamps[i, SMOOTHING]
+    return factor * (t * t / (smoothing + t * t)) if smoothing > _0 else factor
 
 
 @inlined

@@ -17,14 +17,16 @@ WORLD, TRIANGLE = 4, 5
 
 # Bits of `Emitters.flags`: casts shadows; a disk that faces the point it lights instead of a sphere; an ellipse
 # instead of a rectangle; a triangle whose radiance varies; visible to glossy rays, to the camera (lamps only), and to it
-# through glass (lamps only); so small, and one of so few, that it has `highlights` of its own.
-CASTS_SHADOW, SOFT, ELLIPTIC, TEXTURED, SEEN_BY_GLOSSY, SEEN_BY_CAMERA, SEEN_THROUGH_GLASS, SHARP = 1, 2, 4, 8, 16, 32, 64, 128
+# through glass (lamps only); so small, and one of so few, that it has `highlights` of its own; a
+# lamp with a falloff of its own.
+CASTS_SHADOW, SOFT, ELLIPTIC, TEXTURED, SEEN_BY_GLOSSY, SEEN_BY_CAMERA, SEEN_THROUGH_GLASS, SHARP, FADING = 1, 2, 4, 8, 16, 32, 64, 128, 256
 
 # Columns of `Emitters.lamps`: xyz of position (m) and of the unit axes, shining along -z; radius (m); cosines where a
 # spot's smooth edge begins and where it is full; 1 - cos of a sun's half angle; full widths (m), half spread (rad) and
-# its tangent (inf for none) of an area lamp; about which share of the chords of a sphere meets a surface, 0 for none within.
-POSITION, AXIS_X, AXIS_Y, AXIS_Z, RADIUS, COS_OUTER, COS_INNER, ONE_MINUS_COS, SIZE, HALF_SPREAD, TAN_HALF_SPREAD, WITHIN, LAMP = (
-    0, 3, 6, 9, 12, 13, 14, 15, 16, 18, 19, 20, 21,
+# its tangent (inf for none) of an area lamp; about which share of the chords of a sphere meets a surface, 0 for none within;
+# exponent and smoothing (m^2) of a lamp's own falloff, and that falloff at the scene's own distances, by which its flux counts.
+POSITION, AXIS_X, AXIS_Y, AXIS_Z, RADIUS, COS_OUTER, COS_INNER, ONE_MINUS_COS, SIZE, HALF_SPREAD, TAN_HALF_SPREAD, WITHIN, EXPONENT, SMOOTHING, NOMINAL, LAMP = (
+    0, 3, 6, 9, 12, 13, 14, 15, 16, 18, 19, 20, 21, 22, 23, 24,
 )  # fmt: skip
 
 # Columns of `Emitters.shapes`: xyz of a triangle's corners (m) and unit normal, area (m^2).

@@ -74,7 +74,8 @@ def check_charts(uv: np.ndarray, owner: np.ndarray, names: list[str], layer: str
     shared, covered = _overlaps(uv, grid, np.full((grid, grid), -1, np.int32), twice)
     if shared > OVERLAP * covered:
         raise SceneError(
-            f"{_some(names, owner[twice > 0])}: faces overlap in UV map '{layer}' ({100 * shared / covered:.1f} % of it); {remedy}"
+            f"{_some(names, owner[twice > 0])}: faces overlap in UV map '{layer}' ({100 * shared / covered:.1f} % of it); {remedy}, "
+            "or apply the modifiers that repeat it (Array, Mirror)"
         )
 
 

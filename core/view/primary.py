@@ -10,7 +10,7 @@ P samples are meant a pixel: half of them are taken everywhere, and up to twice 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,8 @@ import numpy as np
 from ..film import SQUARE, Film
 from ..jit import kernel, leaf
 from ..lamps.groups import LightGroups
+from ..lamps.tables import WorldTable
+from ..lamps.world import world_tables
 from ..rays.packet import WIDTH, new_packet
 from ..references import Reference
 from ..sampling.hashing import uniform
@@ -66,6 +68,13 @@ WIDEST = np.float32(0.5)  # half width, as a tangent: beyond it a pixel shows mo
 LEAST_MEMBERS = 4  # samples of a surface that tell how its normals are spread
 FLAT = np.float32(1e-9)  # squared distance of shading and geometric normal, at most, of a flat face
 EVEN = 4  # samples a pixel: fewer tell too little of what varies, and every pixel has the same
+
+
+class Worlds(NamedTuple):
+    """The world that mirrors and glass show, and what the camera sees of it itself."""
+
+    met: WorldTable
+    seen: WorldTable
 
 
 class _Geometry(NamedTuple):
@@ -377,7 +386,8 @@ def view(
     chunk = 64
     g = scene.geometry
     geometry = _Geometry(g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object, groups.objects)
-    tables = (rays, camera, with_mirrors(with_viewer(scene), g), geometry, visible_lamps(scene, groups), world)
+    seen = world if scene.world.seen is None else world_tables(replace(scene.world, radiance=scene.world.seen))
+    tables = (rays, camera, with_mirrors(with_viewer(scene), g), geometry, visible_lamps(scene, groups), Worlds(world, seen))
     n_lamps = len(tables[4].kind)
     rays, camera, materials, geometry, lamps, world = (Reference(table) for table in tables)
     offsets = film.offsets()

@@ -467,7 +467,10 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             if not behind_glass:
                 out[CLEAR] += (wr + wg + wb) * _THIRD
             if world_visibility & tile.kinds[pixel, s] and tile.shining[pixel, s]:
-                er, eg, eb = world_radiance(world, dx, dy, dz)
+                if tile.kinds[pixel, s] == CAMERA:
+                    er, eg, eb = world_radiance(world.seen, dx, dy, dz)
+                else:
+                    er, eg, eb = world_radiance(world.met, dx, dy, dz)
                 out[emitted] += wr * er
                 out[emitted + 1] += wg * eg
                 out[emitted + 2] += wb * eb

@@ -15,6 +15,7 @@ from lumigate.core.lamps.sample import sample_emitter
 from lumigate.core.lamps.shapes import AWAY_FROM_CENTRE
 from lumigate.core.lamps.tables import WITHIN
 from lumigate.core.lamps.within import share_within
+from lumigate.core.particles import trace_particles
 from lumigate.core.rays import RayScene, new_packet
 from lumigate.core.sampling.sequences import sobol
 from lumigate.core.surfaces.layout import SURFACE, TRANSPARENCY
@@ -633,6 +634,21 @@ def test_particles_carry_the_light_that_direct_light_finds(name):
     assert np.abs(hits - share * 2**20).max() <= 1
     assert abs(found.sum() / expected.sum() - 1) < 5e-3
     assert np.abs(found - expected).max() < 0.015 * expected.max()
+
+
+@pytest.mark.parametrize(("exponent", "smoothing"), [(1, 0), (2, 0), (0, 0.5), (2, 3)])
+@pytest.mark.parametrize("name", ["point", "sphere", "soft", "hard spot", "rectangle"])
+def test_lamps_with_a_falloff_of_their_own(name, exponent, smoothing):
+    row = SENDERS[name][0][0]
+    points = [[0, 0, 0], [0.5, 0.3, 0], [-0.4, 0.7, 0]]
+    plain, faded = lit(row), lit(row | {"falloff": (exponent, smoothing)})
+    if name in ("point", "hard spot"):
+        t = np.linalg.norm(np.array(points) - row["position"], axis=1)[:, None]
+        np.testing.assert_allclose(faded(points), plain(points) * t**exponent * t**2 / (smoothing + t**2), rtol=1e-4)
+    # What particles leave on the plane is what direct light finds there: the plane holds 0.5 of it.
+    by_particles = trace_particles(faded.tables, 2**16, 1, seed=1)[0].flux.sum(0, dtype=np.float64)
+    whole = 0.5 * cell_irradiance(faded, cells=1, half=4.0, side=200, samples=1)[0, 0] * 64
+    np.testing.assert_allclose(by_particles, whole, rtol=0.02)
 
 
 CUT = {

@@ -108,7 +108,7 @@ def test_unknown_content_is_refused(furnace):
         (lambda uv: uv.__setitem__((11, 0), np.nan), ["'B'", "invalid"]),
         (lambda uv: uv.__setitem__(slice(6, 12), 0.5), ["'B'", "no area"]),
         (lambda uv: uv.__setitem__(slice(10, 12), uv[:2]), ["'A', 'B'", "overlap"]),
-        (lambda uv: uv.__setitem__(3, uv[3] + (0.02, 0)), ["'A'", "overlap"]),
+        (lambda uv: uv.__setitem__(3, uv[3] + (0.02, 0)), ["'A'", "overlap", "Array"]),
     ],
 )
 def test_unfit_maps_are_refused_in_one_line(change, words):

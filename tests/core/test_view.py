@@ -248,6 +248,13 @@ def test_who_may_see_surfaces_lamps_and_world(panes, kind):
     assert getattr(seen(replace(nothing, world=sc.World(np.ones((1, 1, 3), np.float32), kind))), layer).any() == met
 
 
+def test_the_camera_sees_a_world_of_its_own():
+    world = sc.World(np.full((1, 1, 3), 2, np.float32), seen=np.full((1, 1, 3), 5, np.float32))
+    for panes, layer, light in (([], "emission", 5), ([-3], "emission_behind_one", 2)):
+        picture = getattr(seen(replace(glazed(panes, visibility=0), world=world)), layer)
+        assert picture.max() == pytest.approx(light, rel=1e-3)
+
+
 def test_glass_is_the_same_for_any_number_of_threads():
     s = glazed([-2, -3, -4, -5], reflects=0.2, camera=camera(width=96, height=64))
     one, two = seen(s, 4, threads=1), seen(s, 4, threads=2)

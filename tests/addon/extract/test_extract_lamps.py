@@ -171,6 +171,31 @@ def test_constant_nodes_multiply(stage, cycles_irradiance):
     np.testing.assert_allclose(implied.mean(0), cycles_irradiance(16).mean(0), rtol=0.01)
 
 
+@pytest.mark.parametrize(("output", "smooth", "falloff"), [("Linear", 0, (1, 0)), ("Constant", 0.5, (2, 0.5)), ("Quadratic", 2, (0, 2))])
+def test_light_falloff(stage, output, smooth, falloff):
+    def build(tree, emission):
+        node, double = tree.nodes.new("ShaderNodeLightFalloff"), tree.nodes.new("ShaderNodeMath")
+        node.inputs["Strength"].default_value, node.inputs["Smooth"].default_value = 3, smooth
+        double.operation = build.operation
+        double.inputs[1].default_value = 2
+        tree.links.new(node.outputs[output], double.inputs[0])
+        tree.links.new(double.outputs[0], emission.inputs["Strength"])
+
+    stage.cube()
+    build.operation = "MULTIPLY"
+    lamp = with_nodes(stage, build)
+    scene = stage.extract()
+    assert not scene.warnings
+    np.testing.assert_allclose(scene.lamps.falloff, [falloff], rtol=1e-6)
+    np.testing.assert_allclose(scene.lamps.emission[0], 6 * 50 / (4 * math.pi), rtol=1e-6)
+    bpy.data.objects.remove(lamp)
+    build.operation = "ADD"
+    with_nodes(stage, build)
+    scene = stage.extract()
+    assert any("vary" in warning for warning in scene.warnings)
+    assert not scene.lamps.falloff.any()
+
+
 def test_blackbody_in_a_group_multiplies(stage, cycles_irradiance):
     group = bpy.data.node_groups.new("Warm", "ShaderNodeTree")
     group.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")

@@ -171,13 +171,24 @@ def test_tilted_environment_is_rendered(stage, sky, tmp_path, monkeypatch, cycle
 
 
 @pytest.mark.slow
-def test_sun_disc_of_a_sky_becomes_a_lamp_of_the_same_light(stage, sky, monkeypatch, cycles_irradiance):
+@pytest.mark.parametrize("where", ["plain", "turned", "grouped"])
+def test_sun_disc_of_a_sky_becomes_a_lamp_of_the_same_light(stage, sky, monkeypatch, cycles_irradiance, where):
     monkeypatch.setattr(room, "_WIDTH", 256)
     tree, background = sky
-    node = tree.nodes.new("ShaderNodeTexSky")
+    within = bpy.data.node_groups.new("group", "ShaderNodeTree") if where == "grouped" else tree
+    node = within.nodes.new("ShaderNodeTexSky")
     node.sky_type = "NISHITA" if bpy.app.version < (5, 0) else "SINGLE_SCATTERING"
     node.sun_elevation, node.sun_rotation = 0.7, 2.0
-    tree.links.new(node.outputs[0], background.inputs["Color"])
+    color = node.outputs[0]
+    if where == "turned":  # which these models ignore
+        tree.links.new(tree.nodes.new("ShaderNodeMapping").outputs[0], node.inputs[0])
+    elif where == "grouped":
+        within.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
+        within.links.new(color, within.nodes.new("NodeGroupOutput").inputs[0])
+        group = tree.nodes.new("ShaderNodeGroup")
+        group.node_tree = within
+        color = group.outputs[0]
+    tree.links.new(color, background.inputs["Color"])
     background.inputs["Strength"].default_value = 0.1
     scene = stage.extract()
     assert scene.lamps.kind.tolist() == [SUN]
@@ -209,17 +220,31 @@ def test_rendering_a_world_leaves_nothing_behind_and_is_done_once(stage, sky, ca
             stage.extract()
 
 
-def test_light_path_shows_what_diffuse_rays_see(stage, sky):
+@pytest.mark.parametrize("grouped", [False, True])
+@pytest.mark.parametrize("ray", ["Is Camera Ray", "Is Glossy Ray"])
+def test_light_path_shows_what_the_camera_and_what_diffuse_rays_see(stage, sky, ray, grouped):
     tree, background = sky
-    path, mix = tree.nodes.new("ShaderNodeLightPath"), tree.nodes.new("ShaderNodeMixRGB")
-    mix.inputs[1].default_value, mix.inputs[2].default_value = (0.3, 0.2, 0.1, 1), (9, 9, 9, 1)
-    tree.links.new(path.outputs["Is Camera Ray"], mix.inputs[0])
+    within = bpy.data.node_groups.new("group", "ShaderNodeTree") if grouped else tree
+    path = within.nodes.new("ShaderNodeLightPath")
+    fac = path.outputs[ray]
+    if grouped:
+        within.interface.new_socket("Fac", in_out="OUTPUT", socket_type="NodeSocketFloat")
+        within.links.new(fac, within.nodes.new("NodeGroupOutput").inputs[0])
+        group = tree.nodes.new("ShaderNodeGroup")
+        group.node_tree = within
+        fac = group.outputs[0]
+    mix = tree.nodes.new("ShaderNodeMixRGB")
+    mix.inputs[1].default_value, mix.inputs[2].default_value = (0.3, 0.2, 0.1, 1), (9, 8, 7, 1)
+    tree.links.new(fac, mix.inputs[0])
     tree.links.new(mix.outputs[0], background.inputs["Color"])
+    before = data_blocks()
     scene = stage.extract()
-    assert any("'World' depends on the light path" in warning for warning in scene.warnings)
-    assert scene.world.radiance.shape == (1, 1, 3)  # constant after all
+    assert data_blocks() == before
+    assert any("'World' depends on the light path" in warning for warning in scene.warnings) == (ray == "Is Glossy Ray")
+    assert scene.world.radiance.shape == scene.world.seen.shape == (1, 1, 3)  # constant after all
     np.testing.assert_allclose(scene.world.radiance[0, 0], (0.3, 0.2, 0.1), rtol=1e-5)
-    assert path.outputs["Is Camera Ray"].is_linked
+    np.testing.assert_allclose(scene.world.seen[0, 0], (9, 8, 7) if ray == "Is Camera Ray" else (0.3, 0.2, 0.1), rtol=1e-5)
+    assert path.outputs[ray].is_linked
 
 
 def test_volume_is_named_in_a_warning(stage, sky):
