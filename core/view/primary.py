@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..film import SQUARE, Film
-from ..jit import kernel, leaf
+from ..jit import inlined, kernel, leaf
 from ..lamps.groups import LightGroups
 from ..lamps.tables import WorldTable
 from ..lamps.world import world_tables
@@ -67,6 +67,7 @@ MOST_MIRRORED = 4  # surfaces that a pixel shows by way of mirrors: a curved one
 WIDEST = np.float32(0.5)  # half width, as a tangent: beyond it a pixel shows most of a thing
 LEAST_MEMBERS = 4  # samples of a surface that tell how its normals are spread
 FLAT = np.float32(1e-9)  # squared distance of shading and geometric normal, at most, of a flat face
+SAME_FACET = np.float32(0.97)  # cosine of facets' normals that are lit alike, at least
 EVEN = 4  # samples a pixel: fewer tell too little of what varies, and every pixel has the same
 
 
@@ -162,6 +163,17 @@ def _mirrored_light(tile, lane, begin, end):
             number += sent > 0
             light += sent
     return light if number > MOST_MIRRORED else np.float32(0.0)
+
+
+@inlined
+def _on_one_facet(sample, a, b):
+    """Whether light that reaches one of two samples of a smoothly shaded surface leaves the other's facet as well: beyond a hard edge it may be behind it."""
+    cosine = (
+        sample[a, FACING] * sample[b, FACING]
+        + sample[a, FACING + 1] * sample[b, FACING + 1]
+        + sample[a, FACING + 2] * sample[b, FACING + 2]
+    )
+    return cosine > SAME_FACET
 
 
 @leaf
@@ -265,6 +277,8 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
         points.error[i] = sample[best, ERROR]
         for j in range(SPREAD):
             other = member[(chosen + (j + 1) * members // (SPREAD + 1)) % members]
+            if not _on_one_facet(sample, best, other):
+                other = best
             points.error[i] = max(points.error[i], sample[other, ERROR])
             for c in range(3):
                 points.spread[i, j, c] = sample[other, PLACE + c] - sample[best, PLACE + c]

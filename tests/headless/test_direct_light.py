@@ -5,6 +5,7 @@ import math
 import bpy
 import numpy as np
 import pytest
+from scipy.ndimage import binary_erosion
 
 from lumigate.addon.extract import extract_scene
 from lumigate.core.metrics import relmse
@@ -160,3 +161,23 @@ def test_smooth_surfaces_of_few_facets_are_lit_as_if_round():
     mean, expected = np.mean(ours, axis=0), np.mean(references, axis=0)
     assert abs(mean.mean(dtype=float) / expected.mean(dtype=float) - 1) < 0.01
     assert relmse(mean, expected) < 0.02
+
+
+def test_no_dark_lines_along_hard_edges_that_are_shaded_smoothly():
+    """Pixels across such an edge are lit from places on both facets, of which one may be behind the other: they were up to black."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    clay = material("Clay", Base_Color=(0.8, 0.5, 0.3, 1), Specular_IOR_Level=0.0)
+    for k in range(3):
+        bpy.ops.mesh.primitive_cube_add(size=0.8, location=(1.1 * k - 1.1, 0, 0), rotation=(0, 0, 0.3 + 0.3 * k))
+        bpy.ops.object.shade_smooth()
+        bpy.context.object.data.materials.append(clay)
+    lamp(scene, "SUN", (0, 0, 5), (0.7, 0.3, 0.0), energy=4.0, angle=0.01)
+    look(scene, (0, -5, 2.5), (math.radians(64), 0, 0), lens=55)
+    size = (64, 36)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=size, bounces=0))
+    found = render(extract_scene(scene, size=size), RenderSettings(method="importance-sampling", bounces=0, denoise=False)).layers
+    expected = reference["Direct"].mean(axis=2)
+    assert found["Direct"].mean() == pytest.approx(expected.mean(), rel=0.01)
+    within = binary_erosion(expected > 0.3 * expected.max(), np.ones((3, 3)))
+    assert (found["Direct"].mean(axis=2)[within] > 0.8 * expected[within]).all()
