@@ -100,6 +100,8 @@ class Lamps:
     names: L names;  groups: L light group names ('' for none).
     falloff: (L, 2) float32, exponent k and smoothing s (m^2): at a distance t the light is t^k t^2 / (s + t^2) times what it else were, for
         all lamps but suns; zeros where None is given.
+    program: (L,) int32, number of the compiled material that says what a lamp shows each ray, times `emission`; -1 for an even one, and where
+        None is given.
     """
 
     kind: np.ndarray
@@ -117,10 +119,13 @@ class Lamps:
     names: list[str]
     groups: list[str]
     falloff: np.ndarray | None = None
+    program: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if self.falloff is None:
             self.falloff = np.zeros((len(self.kind), 2), np.float32)
+        if self.program is None:
+            self.program = np.full(len(self.kind), -1, np.int32)
 
     def __len__(self) -> int:
         return len(self.kind)

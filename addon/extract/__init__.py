@@ -15,7 +15,7 @@ from ..materials import MaterialUse, compile_materials
 from .camera import camera_warnings, extract_camera, find_camera, image_frame
 from .evaluation import in_render_depsgraph
 from .geometry import Collected, assemble, collect
-from .lamps import CollectedLamps, collect_lamps, to_arrays
+from .lamps import CollectedLamps, collect_lamps, to_arrays, with_programs
 from .world import SUN_OF_SKY, Cycles, extract_world
 
 __all__ = ["extract_camera_and_lamps", "extract_scene", "extract_shown"]
@@ -78,7 +78,8 @@ def extract_camera_and_lamps(
     found = collect_lamps(layer.depsgraph)
     lamps = to_arrays(found.lamps, before.origin)
     suns = before.lamps.take(np.array([name.endswith(SUN_OF_SKY) for name in before.lamps.names], bool))
-    if not eye.is_evaluated or lamps.names + suns.names != before.lamps.names:
+    uneven = any(lamp.use is not None for lamp in found.lamps)  # their programs hold where they are
+    if not eye.is_evaluated or uneven or lamps.names + suns.names != before.lamps.names:
         return extract_scene(scene, camera=camera, size=size, view_layer=layer)
     view = extract_camera(eye, image_frame(scene, size))
     view.matrix[:3, 3] -= before.origin
@@ -114,7 +115,9 @@ def _assembled(
 
     cycles: where it may compute what only it can: in this file, in a process of its own, or not now.
     """
-    compiled = compile_materials(_uses(found, graph), may_bake=cycles == "here")
+    uneven = [replace(lamp.use, light=lamp.use.light.evaluated_get(graph)) for lamp in lamps.lamps if lamp.use is not None]
+    compiled = compile_materials(_uses(found, graph), lamps=uneven, may_bake=cycles == "here")
+    with_programs(lamps.lamps, compiled.lamps)
     geometry, origin, dropped = assemble(found, compiled)
     world = extract_world(scene, layer, graph, cycles)
     if view is not None:

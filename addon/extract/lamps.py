@@ -16,6 +16,7 @@ import bpy
 import numpy as np
 
 from ...core.scene import AREA, DIFFUSE, ELLIPSE, GLOSSY, POINT, RECTANGLE, SPOT, SUN, Lamps, Skipped
+from ..materials import LampProgram, LampUse
 from .geometry import instance_visibility, light_group
 from .nodes import faded_emission, node_tree
 
@@ -45,6 +46,8 @@ class Lamp:
     cast_shadow: bool = True
     group: str = ""
     falloff: tuple[float, float] = (0.0, 0.0)
+    program: int = -1
+    use: LampUse | None = None  # of its nodes, where these tell rays apart
 
 
 @dataclass
@@ -64,6 +67,7 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
     found = CollectedLamps()
     view_layer = depsgraph.view_layer_eval
     seen = set()
+    places: dict[str, np.ndarray] = {}
     for instance in depsgraph.object_instances:
         ob = instance.object
         if ob.type != "LIGHT" or not instance.show_self or (depsgraph.mode == "VIEWPORT" and ob.hide_render):
@@ -80,7 +84,7 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
         if not np.isfinite(matrix).all() or not np.linalg.norm(matrix[:3, :3], axis=0).all():
             found.skip(ob.name, "has a scale of zero or an invalid position: reset its transform")
             continue
-        power, falloff = _power(light, ob.name, found.warnings)
+        power, falloff, is_even = _power(light)
         if not power.any():
             found.skip(ob.name, "has no power")
         elif (power < 0).any():
@@ -99,6 +103,9 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
                 group=light_group(instance),
                 falloff=falloff,
             )
+            if not is_even:
+                places = places or {other.name: np.array(other.matrix_world, np.float64) for other in depsgraph.objects}
+                lamp.use = LampUse(light.original, ob.name, matrix, lamp.axes, places)
             _SHAPERS[light.type](lamp, light, np.linalg.norm(matrix[:3, :3], axis=0), found)
             if lamp.emission.any():
                 found.lamps.append(lamp)
@@ -116,6 +123,12 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
         if ob.type == "LIGHT" and ob.name not in seen:
             found.skip(ob.name, "is hidden from renders")
     return found
+
+
+def with_programs(lamps: list[Lamp], programs: list[LampProgram]) -> None:
+    """Give lamps what became of the nodes of those that have a `use`, in their order."""
+    for lamp, compiled in zip((lamp for lamp in lamps if lamp.use is not None), programs, strict=True):
+        lamp.program, lamp.falloff = compiled.number, compiled.falloff
 
 
 def to_arrays(lamps: list[Lamp], origin: np.ndarray) -> Lamps:
@@ -140,25 +153,27 @@ def to_arrays(lamps: list[Lamp], origin: np.ndarray) -> Lamps:
         visibility=column("visibility", np.uint8),
         cast_shadow=column("cast_shadow", np.uint8),
         falloff=column("falloff"),
+        program=column("program", np.int32),
         names=[lamp.name for lamp in lamps],
         groups=[lamp.group for lamp in lamps],
     )
 
 
-def _power(light: bpy.types.Light, name: str, warnings: list[str]) -> tuple[np.ndarray, tuple[float, float]]:
-    """(3,) power with colour, temperature, exposure and constant nodes, and the falloff that Light Falloff nodes give it, as `Lamps` has it."""
+def _power(light: bpy.types.Light) -> tuple[np.ndarray, tuple[float, float], bool]:
+    """(3,) power with colour, temperature, exposure and constant nodes, the falloff that Light Falloff nodes give it, as `Lamps` has it, and
+    whether that is all: else nodes that tell rays apart are not in it.
+    """
     power = np.array(light.color, np.float64) * light.energy * 2.0**light.exposure
     if light.use_temperature:
         power *= np.array(light.temperature_color, np.float64)
     if node_tree(light) is None:
-        return power, (0.0, 0.0)
+        return power, (0.0, 0.0), True
     factor, falloff = faded_emission(light)
     if factor is not None and light.type == "SUN":
         falloff = (falloff[0], 0.0)  # infinitely far away, where nothing is smoothed
     if factor is None or (light.type == "SUN" and falloff[0]):
-        warnings.append(f"the nodes of lamp '{name}' vary or are not understood: it shines evenly, with its own power and colour")
-        return power, (0.0, 0.0)
-    return power * factor, falloff
+        return power, (0.0, 0.0), False
+    return power * factor, falloff, True
 
 
 def _shape_point(lamp: Lamp, light: bpy.types.PointLight, scale: np.ndarray, found: CollectedLamps) -> None:

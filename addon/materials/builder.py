@@ -65,7 +65,14 @@ class Result:
     index: int
 
 
-Value = Constant | Result
+@dataclass(frozen=True)
+class Given:
+    """A row that is written before the program runs, one of `program.VIEWER` and those after it."""
+
+    row: int
+
+
+Value = Constant | Result | Given
 
 ZERO, ONE = Constant(0.0, 0.0, 0.0), Constant(1.0, 1.0, 1.0)
 
@@ -114,7 +121,7 @@ class Program:
         if op not in _CLOSURES:
             if key in self._known:
                 return self._known[key]
-            if op not in _VARYING and not any(isinstance(o, Result) for o in operands):
+            if op not in _VARYING and not any(isinstance(o, (Result, Given)) for o in operands):
                 self._known[key] = folded = _fold(op, operands, p)
                 return folded
         self.instructions.append(key)
@@ -130,7 +137,9 @@ class Program:
     @property
     def varies(self) -> bool:
         """Whether the surface depends on the point or the view."""
-        return bool(self.operations() & (_VARYING | _VIEW_DEPENDENT))
+        if self.operations() & (_VARYING | _VIEW_DEPENDENT):
+            return True
+        return any(isinstance(operand, Given) for _, operands, _ in self.instructions for operand in operands)
 
     def assemble(self, first_constant: int) -> tuple[np.ndarray, np.ndarray]:
         """((I, 8) int32 code, (C, 4) float32 constants), the constants to lie from row REGISTERS + first_constant.
@@ -146,7 +155,9 @@ class Program:
         constants: list[tuple] = []
         rows: dict = {}
 
-        def constant_row(value: Constant | Table) -> int:
+        def constant_row(value: Constant | Table | Given) -> int:
+            if isinstance(value, Given):
+                return ops.REGISTERS + value.row
             if value not in rows:
                 rows[value] = len(constants)
                 if isinstance(value, Table):
@@ -184,8 +195,8 @@ class Program:
         return sorted(marked)
 
 
-def run(code: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(rows, surface) after running a program that reads no attribute and no texture."""
+def run(code: np.ndarray, constants: np.ndarray, **images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, surface) after running a program that reads no attribute; images: the fields of `MaterialTables` that textures are in."""
     tables = ops.empty_tables()._replace(
         code=code,
         constants=constants,
@@ -193,6 +204,7 @@ def run(code: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray
         flags=np.zeros(1, np.int32),
         constant=np.zeros((1, SURFACE), np.float32),
         functions=outlined.addresses({int(op) for op in code[:, 0]}),
+        **images,
     )
     rows, surface = ops.new_registers(tables), np.zeros(SURFACE, np.float32)
     f = np.float32

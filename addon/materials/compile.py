@@ -15,7 +15,8 @@ from ...core.surfaces.textures import TexturePool
 from . import nodes, registry  # noqa: F401  (importing `nodes` fills the registry)
 from .bake import Baker
 from .builder import ONE, ZERO, Constant, Program, TooComplex, run
-from .requests import BAKED, CompiledMaterials, MaterialUse
+from .lamps import compile_lamp
+from .requests import BAKED, CompiledMaterials, LampProgram, LampUse, MaterialUse
 from .tree import Context, Scope
 
 _DEFAULT_GREY = Constant(0.8, 0.8, 0.8)
@@ -25,8 +26,8 @@ _TRANSPARENT = {ops.TRANSPARENT_CLOSURE, *_REFRACTIVE}
 _ANGLED = {ops.FRESNEL, ops.FACING, ops.BACKFACING}
 
 
-def compile_materials(uses: Sequence[MaterialUse], *, may_bake: bool = True) -> CompiledMaterials:
-    """Tables of the materials of `uses`, in their order.
+def compile_materials(uses: Sequence[MaterialUse], *, lamps: Sequence[LampUse] = (), may_bake: bool = True) -> CompiledMaterials:
+    """Tables of the materials of `uses`, in their order, and after them the programs of `lamps`.
 
     may_bake: Cycles may run now; else what only it can compute comes from an earlier bake, or is left out with a warning.
     """
@@ -35,9 +36,21 @@ def compile_materials(uses: Sequence[MaterialUse], *, may_bake: bool = True) -> 
     baked_uvs: dict[str, dict[str, np.ndarray]] = {}
     programs = [_program(use, textures, warnings, baked_uvs, may_bake) for use in uses]
     names = [use.material.name if use.material else "" for use in uses]
-    tables = _link(programs, names, textures, warnings)
     requests = [list(p.requests) for p in programs]
-    return CompiledMaterials(scene.Materials(names, tables), requests, warnings, baked_uvs)
+    known: dict[tuple, int] = {}  # lamps that are alike share their program
+    compiled = []
+    for use in lamps:
+        program, falloff = compile_lamp(use, textures, warnings)
+        if program is None:
+            compiled.append(LampProgram())
+            continue
+        number = known.setdefault(tuple(program.instructions), len(programs))
+        if number == len(programs):
+            programs.append(program)
+            names.append(use.name)
+        compiled.append(LampProgram(number, falloff))
+    tables = _link(programs, names, textures, warnings, ops.OWN_ROWS if known else 1)
+    return CompiledMaterials(scene.Materials(names, tables), requests, warnings, baked_uvs, compiled)
 
 
 def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked_uvs: dict, may_bake: bool) -> Program:
@@ -77,8 +90,9 @@ def _viewport_color(material) -> Program:
     return program
 
 
-def _link(programs: list[Program], names: list[str], textures: TexturePool, warnings: list[str]) -> scene.MaterialTables:
-    code, constants = [np.array([[ops.END, *[0] * 7]], np.int32)], [np.zeros((1, 4), np.float32)]
+def _link(programs: list[Program], names: list[str], textures: TexturePool, warnings: list[str], own_rows: int = 1) -> scene.MaterialTables:
+    """own_rows: constants that are none (see `program.VIEWER`)."""
+    code, constants = [np.array([[ops.END, *[0] * 7]], np.int32)], [np.zeros((own_rows, 4), np.float32)]
     start = np.zeros(len(programs), np.int32)
     flags = np.zeros(len(programs), np.int32)
     constant = np.zeros((len(programs), SURFACE), np.float32)

@@ -7,6 +7,7 @@ and, for every material, the attributes that its program reads.  The extraction 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,9 @@ OBJECT_COLOR = "object_color"  # `Object.color`, RGB and alpha
 OBJECT_INDEX = "object_index"  # (i, i, i) of `Object.pass_index`
 OBJECT_RANDOM = "object_random"  # (r, r, r), `random_id` of the instance / 2**32
 OBJECT_ATTRIBUTE = "object_attribute"  # custom property `name` of the object, else of its data, as Attribute node of type Object
+INCOMING = "incoming"  # direction in which light leaves a lamp, in world space; known of lamps alone, and so is
+LOCAL_INCOMING = "local_incoming"  # the same in the lamp's own space
+PARAMETRIC = "parametric"  # Geometry's output of that name
 BAKED = "baked"  # UV of the bake `name`: CompiledMaterials.baked_uvs[name][object name], (triangles of the mesh, 3, 2)
 
 # What differs at the points that a bump's height is read at: as in Cycles all but normals, tangents and what objects have.
@@ -58,6 +62,29 @@ class MaterialUse:
     objects: tuple[bpy.types.Object, ...] = ()
 
 
+@dataclass(frozen=True)
+class LampUse:
+    """A lamp whose nodes tell rays apart.
+
+    light: evaluated.  name: of its object.  matrix: (4, 4) float64, to world space; axes: (3, 3), rows = its unit axes in world space.
+    places: matrix_world of other objects by name, whose coordinates its nodes may ask for.
+    """
+
+    light: bpy.types.Light
+    name: str
+    matrix: np.ndarray
+    axes: np.ndarray
+    places: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class LampProgram:
+    """What became of a `LampUse`: the number of its program among the materials, -1 for none, and its falloff as `core.scene.Lamps` has it."""
+
+    number: int = -1
+    falloff: tuple[float, float] = (0.0, 0.0)
+
+
 @dataclass
 class CompiledMaterials:
     """Tables of all materials, in the order of the uses.
@@ -65,12 +92,14 @@ class CompiledMaterials:
     requests: for every material the attributes its program reads; its slot k is `requests[m][k]`.
     warnings: one line for each thing that is approximated, left out or baked.
     baked_uvs: see BAKED; per bake and object name, in the order of the evaluated mesh's `loop_triangles`.
+    lamps: of each `LampUse`.
     """
 
     materials: Materials
     requests: list[list[AttributeRequest]]
     warnings: list[str] = field(default_factory=list)
     baked_uvs: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
+    lamps: list[LampProgram] = field(default_factory=list)
 
     @property
     def slots(self) -> int:

@@ -35,6 +35,7 @@ class Context:
     """What the node functions of one material share.
 
     fading: of a lamp, where its Light Falloff nodes put down what they are; None where there is no distance to fade by.
+    is_lamp: whether it is the tree of a lamp, run for each ray that leaves it.
     """
 
     material: bpy.types.Material
@@ -45,10 +46,11 @@ class Context:
     objects: tuple[bpy.types.Object, ...] = ()
     memory: dict = field(default_factory=dict)
     fading: Fading | None = None
+    is_lamp: bool = False
 
     def warn(self, text: str) -> None:
         """One line for the user, once for each material."""
-        line = f"Material '{self.material.name}': {text}"
+        line = f"{'Lamp' if self.is_lamp else 'Material'} '{self.material.name}': {text}"
         if line not in self.warnings:
             self.warnings.append(line)
 

@@ -28,10 +28,12 @@ from .tables import (
     HALF_SPREAD,
     LAMP,
     LOWER,
+    MAP,
     NOMINAL,
     NORMAL,
     ONE_MINUS_COS,
     POSITION,
+    PROGRAM,
     RADIUS,
     SEEN_BY_CAMERA,
     SEEN_BY_GLOSSY,
@@ -50,6 +52,7 @@ from .tables import (
     Emitters,
     LampTables,
 )  # fmt: skip
+from .textured import measured
 from .tree_build import COLUMNS, TWO_SIDED, light_tree
 from .within import share_within
 from .world import no_world, projected_box_area, world_table
@@ -75,8 +78,8 @@ def _box(scene: Scene) -> np.ndarray:
     return np.stack([low - margin, high + margin]).astype(np.float32)
 
 
-def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
-    """Index in the scene, kind, flags, radiance, flux, bounds and table of the lamps that shine."""
+def _lamps(scene: Scene, ray_kind: int, box: np.ndarray, threads: int = 0):
+    """Index in the scene, kind, flags, radiance, flux, bounds and table of the lamps that shine, and the maps of those that are textured."""
     lamps = scene.lamps
     f = np.float32
     emission = lamps.emission.astype(np.float64).reshape(-1, 3)
@@ -137,7 +140,14 @@ def _lamps(scene: Scene, ray_kind: int, box: np.ndarray):
     table[:, ONE_MINUS_COS] = np.where(sun, 2 * np.sin(0.5 * half) ** 2, 0)
     table[:, EXPONENT], table[:, SMOOTHING], table[:, NOMINAL] = exponent, smoothing, nominal
     table[:, HALF_SPREAD], table[:, TAN_HALF_SPREAD] = half, np.where(area, tangent, np.inf)
-    return keep, kind, flags, emission * scale[:, None], emission * flux_factor[:, None], bounds, table
+    table[:, PROGRAM], table[:, MAP] = lamps.program[keep], -1
+    flags = flags + TEXTURED * (lamps.program[keep] >= 0)
+    mean, maps = measured(scene.materials.tables, kind, flags, table, threads)
+    emission, bounds[:, ENERGY] = emission * mean[:, None], bounds[:, ENERGY] * mean
+    columns = keep, kind, flags, emission * scale[:, None], emission * flux_factor[:, None], bounds, table
+    if not mean.all():  # what no ray has met shining
+        columns = tuple(column[mean > 0] for column in columns)
+    return *columns, maps
 
 
 def _textured_means(scene: Scene, triangle: np.ndarray, area: np.ndarray, threads: int) -> np.ndarray:
@@ -194,7 +204,7 @@ def _mesh(scene: Scene, ray_kind: int, threads: int):
 
 def lamp_tables(scene: Scene, ray_kind: int, light_group: np.ndarray) -> LampTables:
     """The analytic lamps that shine and are visible to rays of `ray_kind`; light_group: (L,) int32, of the scene's lamps."""
-    source, kind, flags, radiance, _, _, lamps = _lamps(scene, ray_kind, np.zeros((2, 3), np.float32))
+    source, kind, flags, radiance, _, _, lamps, _ = _lamps(scene, ray_kind, np.zeros((2, 3), np.float32))
     return LampTables(kind.astype(np.int32), flags.astype(np.int32), radiance.astype(np.float32), lamps, light_group[source])
 
 
@@ -209,7 +219,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
     f = np.float32
     groups = LightGroups.one(scene) if groups is None else groups
     box = _box(scene)
-    source, kind, flags, radiance, flux, bounds, lamps = _lamps(scene, ray_kind, box)
+    source, kind, flags, radiance, flux, bounds, lamps, maps = _lamps(scene, ray_kind, box, threads)
     spheres = np.flatnonzero((kind == POINT) | (kind == SPOT))
     lamps[spheres, WITHIN] = share_within(scene.geometry, lamps[spheres, POSITION : POSITION + 3], lamps[spheres, RADIUS], threads)
     triangle, material, mesh_flags, mesh_radiance, mesh_flux, mesh_bounds, shapes = _mesh(scene, ray_kind, threads)
@@ -243,6 +253,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
         radiance=radiance.astype(f),
         flux=flux,
         lamps=lamps,
+        maps=maps,
         first_triangle=len(kind) - m,
         shapes=shapes,
         triangle=triangle,

@@ -40,6 +40,7 @@ from .tables import (
     WORLD,
     Emitters,
 )  # fmt: skip
+from .textured import direction_density, draw_direction, draw_place, place_density, shown
 from .world import emit_world
 
 OUTLIERS = 0.02, 0.1  # shares of the places beyond either end of a focus along each axis
@@ -205,7 +206,7 @@ def _aimed_weight(aim, x, y, z, radius, cone, own, dx, dy, dz):
 
 
 @leaf
-def _emit_point(lamps, i, spot, soft, aim, u1, u2, u3, u4):
+def _emit_point(lamps, i, spot, soft, textured, maps, aim, u1, u2, u3, u4):
     """Point and spot lamps -> (origin, direction, weight, and `near`, `far`, `before` of `emit`).
 
     All lines of one direction pass a disk of the lamp's radius.  Of a sphere they start on its surface, outwards where they
@@ -233,6 +234,12 @@ def _emit_point(lamps, i, spot, soft, aim, u1, u2, u3, u4):
     cone = dx = dy = dz = _0
     if not crossed > _0:
         dx, dy, dz, cone, u1 = _aim_at(aim, x, y, z, radius, u1, u2)
+    mapped = textured and not crossed > _0
+    if mapped and dx == _0 and dy == _0 and dz == _0:  # half of them by the map
+        if u1 < _HALF:
+            u1 = u1 * _2
+        else:
+            dx, dy, dz = draw_direction(maps, lamps, i, u1 * _2 - _1, u2)
     if dx != _0 or dy != _0 or dz != _0:
         pass
     elif spot and not inwards:
@@ -241,9 +248,16 @@ def _emit_point(lamps, i, spot, soft, aim, u1, u2, u3, u4):
         dx, dy, dz = to_world(sine * np.float32(math.cos(phi)), sine * np.float32(math.sin(phi)), np.float32(1.0 - h), ax, ay, az)
     else:
         dx, dy, dz = uniform_sphere(u1, u2)
-    if cone > _0:
+    if cone > _0 or mapped:
         own = spot_attenuation(lamps, i, ax * dx + ay * dy + az * dz) if spot else _1
-        weight = _aimed_weight(aim, x, y, z, radius, cone, own / (_2PI * full), dx, dy, dz)
+        own = drawn = own / (_2PI * full)
+        if mapped:
+            drawn = _HALF * (own + direction_density(maps, lamps, i, dx, dy, dz))
+            weight = own / drawn if own > _0 else _0
+        if cone > _0 and own > _0:
+            weight *= _aimed_weight(aim, x, y, z, radius, cone, drawn, dx, dy, dz)
+        elif cone > _0:
+            weight = _0
     near, far, before = _0, FOR_EVER, _0
     if radius > _0:
         a, b = concentric_disk(u3, u4)
@@ -277,13 +291,23 @@ def _area_density(lamps, i, even, cosine):
 
 
 @leaf
-def _emit_area(lamps, i, ellipse, aim, u1, u2, u3, u4):
+def _emit_area(lamps, i, ellipse, textured, maps, aim, u1, u2, u3, u4):
     """Area lamps -> (origin, direction, weight): uniform on the shape, cosine with the spread around the axis."""
-    if ellipse:
-        a, b = concentric_disk(u1, u2)
-        a, b = _HALF * a, _HALF * b
+    weight = _1
+    if textured and u1 >= _HALF:  # half of them by the map
+        a, b = draw_place(maps, lamps, i, u1 * _2 - _1, u2)
     else:
-        a, b = u1 - _HALF, u2 - _HALF
+        u1 = u1 * _2 if textured else u1
+        if ellipse:
+            a, b = concentric_disk(u1, u2)
+            a, b = _HALF * a, _HALF * b
+        else:
+            a, b = u1 - _HALF, u2 - _HALF
+    if textured:
+        own = _1
+        if ellipse:
+            own = np.float32(4 / math.pi) if a * a + b * b <= np.float32(0.25) else _0
+        weight = own / (_HALF * (own + place_density(maps, lamps, i, a, b))) if own > _0 else _0
     a, b = a * lamps[i, SIZE], b * lamps[i, SIZE + 1]
     x = lamps[i, POSITION] + a * lamps[i, AXIS_X] + b * lamps[i, AXIS_Y]
     y = lamps[i, POSITION + 1] + a * lamps[i, AXIS_X + 1] + b * lamps[i, AXIS_Y + 1]
@@ -292,7 +316,7 @@ def _emit_area(lamps, i, ellipse, aim, u1, u2, u3, u4):
     dx, dy, dz, cone, u3 = _aim_at(aim, x, y, z, _0, u3, u4)
     if dx != _0 or dy != _0 or dz != _0:
         lz = -(dx * lamps[i, AXIS_Z] + dy * lamps[i, AXIS_Z + 1] + dz * lamps[i, AXIS_Z + 2])
-        return x, y, z, dx, dy, dz, _aimed_weight(aim, x, y, z, _0, cone, _area_density(lamps, i, even, lz), dx, dy, dz)
+        return x, y, z, dx, dy, dz, weight * _aimed_weight(aim, x, y, z, _0, cone, _area_density(lamps, i, even, lz), dx, dy, dz)
     if even:
         lx, ly, lz = cosine_hemisphere(u3, u4)
     else:
@@ -302,7 +326,7 @@ def _emit_area(lamps, i, ellipse, aim, u1, u2, u3, u4):
     dx = lx * lamps[i, AXIS_X] + ly * lamps[i, AXIS_Y] - lz * lamps[i, AXIS_Z]
     dy = lx * lamps[i, AXIS_X + 1] + ly * lamps[i, AXIS_Y + 1] - lz * lamps[i, AXIS_Z + 1]
     dz = lx * lamps[i, AXIS_X + 2] + ly * lamps[i, AXIS_Y + 2] - lz * lamps[i, AXIS_Z + 2]
-    return x, y, z, dx, dy, dz, _aimed_weight(aim, x, y, z, _0, cone, _area_density(lamps, i, even, lz), dx, dy, dz)
+    return x, y, z, dx, dy, dz, weight * _aimed_weight(aim, x, y, z, _0, cone, _area_density(lamps, i, even, lz), dx, dy, dz)
 
 
 @inlined
@@ -363,12 +387,23 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
             x, y, z, area = _box_entry(emitters.box, dx, dy, dz, u3, u4)
         w *= area
     elif kind == AREA:
-        x, y, z, dx, dy, dz, k = _emit_area(emitters.lamps, e, emitters.flags[e] & ELLIPTIC, emitters.aim, u1, u2, u3, u4)
+        x, y, z, dx, dy, dz, k = _emit_area(
+            emitters.lamps, e, emitters.flags[e] & ELLIPTIC, emitters.flags[e] & TEXTURED, emitters.maps, emitters.aim, u1, u2, u3, u4
+        )
         w *= k
     else:
         soft = emitters.flags[e] & SOFT
-        x, y, z, dx, dy, dz, k, near, far, before = _emit_point(emitters.lamps, e, kind == SPOT, soft, emitters.aim, u1, u2, u3, u4)
+        x, y, z, dx, dy, dz, k, near, far, before = _emit_point(
+            emitters.lamps, e, kind == SPOT, soft, emitters.flags[e] & TEXTURED, emitters.maps, emitters.aim, u1, u2, u3, u4
+        )
         w *= k
+    if emitters.flags[e] & TEXTURED and kind != TRIANGLE:
+        lamps = emitters.lamps
+        sr, sg, sb = shown(
+            emitters.materials, emitters.attributes, kind, emitters.flags[e], lamps, e,
+            x - lamps[e, POSITION], y - lamps[e, POSITION + 1], z - lamps[e, POSITION + 2], -dx, -dy, -dz, rows, surface,
+        )  # fmt: skip
+        r, g, b = r * sr, g * sg, b * sb
     return e, x, y, z, dx, dy, dz, r * w, g * w, b * w, near, far, before
 
 

@@ -10,6 +10,7 @@ from ..surfaces.layout import EMISSION
 from ..surfaces.program import evaluate, reflected_view
 from .shapes import falloff, sample_area, sample_mesh_triangle, sample_point, sample_sun
 from .tables import ELLIPTIC, FADING, NORMAL, SOFT, TEXTURED, TRIANGLE, WORLD
+from .textured import shown_from
 from .world import sample_world
 
 _INFINITY = np.float32(np.inf)
@@ -50,4 +51,9 @@ def sample_emitter(emitters, e, px, py, pz, nx, ny, nz, u1, u2, rows, surface):
         dx, dy, dz, t, w = sample_point(emitters.lamps, e, emitters.flags[e] & SOFT, px, py, pz, nx, ny, nz, u1, u2)
     if emitters.flags[e] & FADING:
         w *= falloff(emitters.lamps, e, t)
+    if emitters.flags[e] & TEXTURED and kind != TRIANGLE and w > 0:
+        sr, sg, sb = shown_from(
+            emitters.materials, emitters.attributes, kind, emitters.flags[e], emitters.lamps, e, px, py, pz, dx, dy, dz, t, rows, surface
+        )
+        r, g, b = r * sr, g * sg, b * sb
     return dx, dy, dz, t, r * w, g * w, b * w, u, v

@@ -16,7 +16,7 @@ from ..scene import MaterialTables
 WORLD, TRIANGLE = 4, 5
 
 # Bits of `Emitters.flags`: casts shadows; a disk that faces the point it lights instead of a sphere; an ellipse
-# instead of a rectangle; a triangle whose radiance varies; visible to glossy rays, to the camera (lamps only), and to it
+# instead of a rectangle; a triangle or a lamp whose radiance varies; visible to glossy rays, to the camera (lamps only), and to it
 # through glass (lamps only); so small, and one of so few, that it has `highlights` of its own; a
 # lamp with a falloff of its own.
 CASTS_SHADOW, SOFT, ELLIPTIC, TEXTURED, SEEN_BY_GLOSSY, SEEN_BY_CAMERA, SEEN_THROUGH_GLASS, SHARP, FADING = 1, 2, 4, 8, 16, 32, 64, 128, 256
@@ -24,10 +24,13 @@ CASTS_SHADOW, SOFT, ELLIPTIC, TEXTURED, SEEN_BY_GLOSSY, SEEN_BY_CAMERA, SEEN_THR
 # Columns of `Emitters.lamps`: xyz of position (m) and of the unit axes, shining along -z; radius (m); cosines where a
 # spot's smooth edge begins and where it is full; 1 - cos of a sun's half angle; full widths (m), half spread (rad) and
 # its tangent (inf for none) of an area lamp; about which share of the chords of a sphere meets a surface, 0 for none within;
-# exponent and smoothing (m^2) of a lamp's own falloff, and that falloff at the scene's own distances, by which its flux counts.
-POSITION, AXIS_X, AXIS_Y, AXIS_Z, RADIUS, COS_OUTER, COS_INNER, ONE_MINUS_COS, SIZE, HALF_SPREAD, TAN_HALF_SPREAD, WITHIN, EXPONENT, SMOOTHING, NOMINAL, LAMP = (
-    0, 3, 6, 9, 12, 13, 14, 15, 16, 18, 19, 20, 21, 22, 23, 24,
+# exponent and smoothing (m^2) of a lamp's own falloff, and that falloff at the scene's own distances, by which its flux counts;
+# of a lamp that is TEXTURED its program (a material's number), 1 over the mean of what that makes of its light, and its
+# row in `EmissionMaps` (-1: none).
+POSITION, AXIS_X, AXIS_Y, AXIS_Z, RADIUS, COS_OUTER, COS_INNER, ONE_MINUS_COS, SIZE, HALF_SPREAD, TAN_HALF_SPREAD, WITHIN, EXPONENT, SMOOTHING, NOMINAL = (
+    0, 3, 6, 9, 12, 13, 14, 15, 16, 18, 19, 20, 21, 22, 23,
 )  # fmt: skip
+PROGRAM, PER_MEAN, MAP, LAMP = 24, 25, 26, 27
 
 # Columns of `Emitters.shapes`: xyz of a triangle's corners (m) and unit normal, area (m^2).
 CORNERS, NORMAL, AREA_M2, SHAPE = 0, 9, 12, 13
@@ -80,6 +83,18 @@ class LampTables(NamedTuple):
     light_group: np.ndarray
 
 
+class EmissionMaps(NamedTuple):
+    """Where the light of K textured lamps leaves, as distributions over cells (see `textured`).
+
+    Of point and spot lamps they are over directions in the lamp's own axes: rows by the cosine of the angle with its z axis, from 1 to -1,
+    columns by azimuth, so that all cells are of the same solid angle.  Of area lamps they are over the rectangle: rows by y, columns by x.
+    rows: (K, H + 1), columns: (K, H, W + 1) float32, running sums.
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+
+
 class Emitters(NamedTuple):
     """All E emitters of a scene (for one kind of receiving ray), ready for kernels.
 
@@ -90,7 +105,7 @@ class Emitters(NamedTuple):
         triangle or the world; of a point of no size the radiant intensity, W/sr, and of a sun of no size the
         irradiance, W/m^2.
     flux: (E, 3) float64, W leaving, or entering the scene's box for sun and world.
-    lamps: (A, LAMP) float32.
+    lamps: (A, LAMP) float32.  maps: of those that are textured.
     first_triangle: E - M, the emitter that is triangle 0 of M.  shapes: (M, SHAPE) float32.
     triangle, material: (M,) int32 into the scene's tables.
     groups: (G,) int32, emitters that direct light samples one by one; -1 is the tree.
@@ -109,6 +124,7 @@ class Emitters(NamedTuple):
     radiance: np.ndarray
     flux: np.ndarray
     lamps: np.ndarray
+    maps: EmissionMaps
     first_triangle: int
     shapes: np.ndarray
     triangle: np.ndarray

@@ -15,7 +15,8 @@ import numpy as np
 from ..jit import inlined, kernel, leaf
 from ..lamps.direct import aimed_density, direct_light, expected_samples, is_turned, passed, set_point_lobe
 from ..lamps.lookup import emitter_of, lamp_along, share_of
-from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, SHARP, WORLD
+from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, SHARP, TEXTURED, WORLD
+from ..lamps.textured import shown_from
 from ..lamps.world import world_radiance
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
@@ -97,6 +98,25 @@ def _lamps_along(
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
             tr, tg, tb, clear = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t * _SHORT, entered)
         tr, tg, tb = wr * w * tr * emitters.radiance[e, 0], wg * w * tg * emitters.radiance[e, 1], wb * w * tb * emitters.radiance[e, 2]
+        if emitters.flags[e] & TEXTURED:
+            sr, sg, sb = shown_from(
+                emitters.materials,
+                emitters.attributes,
+                emitters.kind[e],
+                emitters.flags[e],
+                emitters.lamps,
+                e,
+                x,
+                y,
+                z,
+                dx,
+                dy,
+                dz,
+                t,
+                rows,
+                surface,
+            )
+            tr, tg, tb = tr * sr, tg * sg, tb * sb
         _add_shining(shown, by_glass, i, 3 * emitters.light_group[e], clear, tr, tg, tb)
 
 

@@ -3,7 +3,8 @@
 A program is a straight list of instructions over rows of four floats.  An instruction is eight integers
 (operation, destination row, operand rows a b c d e, parameter p).  Rows 0..REGISTERS-1 are registers,
 the rows after them are the constants of all materials, the first of which says
-where the viewer is to programs with FOOTPRINT (see `footprint`).  A scalar fills x, y and z of its row, so that it
+where the viewer is to programs with FOOTPRINT (see `footprint`); where lamps have programs, the next three are for what
+these are told of a ray (see `lamps.textured`).  A scalar fills x, y and z of its row, so that it
 reads as a grey colour or vector as it is.  Operations on closures add to the surface (see `layout`).
 The rarer operations are in `outlined` and are called by address, so that kernels which evaluate
 materials stay small and compile fast.
@@ -24,6 +25,9 @@ F = np.float32
 REGISTERS = 64
 # A view cosine above 1 asks for the mean over the views from the front, below -1 from the back.
 MEAN_VIEW = 2.0
+# Rows after the registers that are no constants: of the viewer, and in a lamp's own axes of its normal where a ray leaves it, the
+# direction in which its light leaves, and the place relative to its position (m).  OWN_ROWS: their number where lamps have programs.
+VIEWER, LAMP_NORMAL, LAMP_INCOMING, LAMP_PLACE, OWN_ROWS = range(5)
 
 # Operations.  "rgb" are x, y, z of a row; p is the instruction's last integer.
 (

@@ -11,7 +11,8 @@ from ..jit import kernel, leaf
 from ..lamps.build import lamp_tables
 from ..lamps.groups import LightGroups
 from ..lamps.lookup import lamp_along
-from ..lamps.tables import AXIS_Z, ONE_MINUS_COS, POSITION, RADIUS, SIZE, LampTables
+from ..lamps.tables import AXIS_Z, ONE_MINUS_COS, POSITION, RADIUS, SIZE, TEXTURED, LampTables
+from ..lamps.textured import shown_from
 from ..scene import AREA, CAMERA, GLOSSY, SUN, TRANSMISSION, Scene
 from .camera import camera_ray, camera_tables
 
@@ -88,10 +89,11 @@ def lamps_in_tile(lamps, camera, x0, y0, x1, y1, near):
 
 
 @kernel
-def lamps_between(lamps, near, n, seen_by, ox, oy, oz, dx, dy, dz, start, end, weight, out):
+def lamps_between(lamps, near, n, seen_by, ox, oy, oz, dx, dy, dz, start, end, weight, materials, attributes, rows, surface, out):
     """Adds the radiance of the lamps near[0..n-1] whose distance along the unit direction d from o lies in start..end to `out` (G, 3).
 
     seen_by: SEEN_BY_CAMERA, SEEN_THROUGH_GLASS or SEEN_BY_GLOSSY.  weight: (3,) float32.
+    materials, attributes, rows, surface: as for `evaluate`, for lamps with programs.
     """
     for k in range(n):
         i = near[k]
@@ -99,5 +101,16 @@ def lamps_between(lamps, near, n, seen_by, ox, oy, oz, dx, dy, dz, start, end, w
             continue
         t, share = lamp_along(lamps, i, ox, oy, oz, dx, dy, dz)
         if share > _0 and start <= t and t <= end:
-            for c in range(3):
-                out[lamps.light_group[i], c] += weight[c] * share * lamps.radiance[i, c]
+            r, g, b = (
+                weight[0] * share * lamps.radiance[i, 0],
+                weight[1] * share * lamps.radiance[i, 1],
+                weight[2] * share * lamps.radiance[i, 2],
+            )
+            if lamps.flags[i] & TEXTURED:
+                sr, sg, sb = shown_from(
+                    materials, attributes, lamps.kind[i], lamps.flags[i], lamps.lamps, i, ox, oy, oz, dx, dy, dz, t, rows, surface
+                )
+                r, g, b = r * sr, g * sg, b * sb
+            out[lamps.light_group[i], 0] += r
+            out[lamps.light_group[i], 1] += g
+            out[lamps.light_group[i], 2] += b

@@ -359,7 +359,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                     lamps, tile.every if mirrored else near_lamps, n_met, seen_by,
                     origin[lane, 0], origin[lane, 1], origin[lane, 2],
                     direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2], passed[lane], end,
-                    weight[pixel, s], tile.lamps[pixel, min(glass[pixel, s], 2)],
+                    weight[pixel, s], materials, attributes, rows, surface, tile.lamps[pixel, min(glass[pixel, s], 2)],
                 )  # fmt: skip
             if triangle < 0:
                 disable_ray(packet, lane)

@@ -11,6 +11,7 @@ from ..requests import (
     COLOR,
     FACE_NORMAL,
     GENERATED,
+    INCOMING,
     NORMAL,
     OBJECT,
     OBJECT_ATTRIBUTE,
@@ -18,6 +19,7 @@ from ..requests import (
     OBJECT_INDEX,
     OBJECT_LOCATION,
     OBJECT_RANDOM,
+    PARAMETRIC,
     UV,
     WORLD_NORMAL,
     WORLD_POSITION,
@@ -99,7 +101,7 @@ def object_info(node: NodeInput, output: str) -> Value:
 
 @value("ShaderNodeNewGeometry")
 def geometry(node: NodeInput, output: str) -> Value:
-    """Geometry; Incoming, Tangent, Pointiness and Random Per Island are not known to the core."""
+    """Geometry; Tangent, Pointiness and Random Per Island are not known to the core, Incoming and Parametric of lamps alone."""
     if output == "Position":
         return node.program.attribute(WORLD_POSITION)
     if output == "Normal":
@@ -108,6 +110,8 @@ def geometry(node: NodeInput, output: str) -> Value:
         return node.program.attribute(FACE_NORMAL)
     if output == "Backfacing":
         return node.emit(ops.BACKFACING)
+    if node.context.is_lamp and output in ("Incoming", "Parametric"):
+        return node.program.attribute(INCOMING if output == "Incoming" else PARAMETRIC)
     raise Unsupported(f"node '{node.node.name}' reads the output '{output}' of Geometry")
 
 
@@ -154,6 +158,10 @@ _RAYS = {
 @value("ShaderNodeLightPath")
 def light_path(node: NodeInput, output: str) -> Value:
     """Light Path, which tells the rays that the camera's view takes by mirrors and through glass; all light that is reflected on is diffuse."""
+    if node.context.is_lamp:  # for whose light Cycles runs them without a kind of ray
+        if "Is " in output:
+            return ZERO
+        raise Unsupported(f"node '{node.node.name}' reads the output '{output}' of Light Path")
     rays = _RAYS.get(output, 0)
     if output == "Is Shadow Ray" and _has_glass(node.context.material.node_tree):
         # Glass that is none to shadow rays lets lamps' light through as if nothing were there, which is what it is built for.

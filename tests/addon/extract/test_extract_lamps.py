@@ -215,11 +215,12 @@ def test_blackbody_in_a_group_multiplies(stage, cycles_irradiance):
     np.testing.assert_allclose(implied.mean(0), cycles_irradiance(16).mean(0), rtol=0.01)
 
 
-def test_varying_nodes_are_named_in_a_warning(stage):
+def test_nodes_that_are_not_known_are_named_in_a_warning(stage):
     stage.cube()
-    with_nodes(stage, lambda tree, emission: tree.links.new(tree.nodes.new("ShaderNodeTexNoise").outputs[0], emission.inputs["Strength"]))
+    with_nodes(stage, lambda tree, emission: tree.links.new(tree.nodes.new("ShaderNodeTexVoronoi").outputs[0], emission.inputs["Strength"]))
     scene = stage.extract()
-    assert any("'Point'" in warning for warning in scene.warnings)
+    assert any("'Point'" in warning and "Voronoi" in warning for warning in scene.warnings)
+    assert scene.lamps.program.tolist() == [-1]
     np.testing.assert_allclose(scene.lamps.emission[0], 50 / (4 * math.pi), rtol=1e-6)
 
 
@@ -309,3 +310,43 @@ def test_a_flattened_point_lamp_shines_as_ever(stage):
     stage.lamp("POINT", Matrix.Translation((0, 0, 3)) @ Matrix.Diagonal((1, 1, 0, 1)), energy=10)
     lamps = stage.extract().lamps
     assert lamps.names and np.isfinite(lamps.axes).all() and lamps.emission.all()
+
+
+def test_lamps_that_are_alike_share_a_program(stage):
+    stage.cube()
+
+    def build(tree, emission):
+        tree.links.new(tree.nodes.new("ShaderNodeTexNoise").outputs[0], emission.inputs["Strength"])
+
+    first = with_nodes(stage, build)
+    again = stage.link("Again", first.data, Matrix.Translation((1, 2, 3)))
+    scene = stage.extract()
+    assert not scene.warnings
+    assert len(set(scene.lamps.program)) == 1
+    assert scene.lamps.program[0] == len(scene.materials.names) - 1
+    again.scale = (2, 2, 2)
+    assert len(set(stage.extract().lamps.program)) == 2  # the noise is as much larger
+
+
+def test_falloff_beside_a_texture(stage):
+    stage.cube()
+
+    def build(tree, emission):
+        falloff, noise, math_node = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("LightFalloff", "TexNoise", "Math"))
+        math_node.operation = build.operation
+        tree.links.new(falloff.outputs["Linear"], math_node.inputs[0])
+        tree.links.new(noise.outputs[0], math_node.inputs[1])
+        tree.links.new(math_node.outputs[0], emission.inputs["Strength"])
+
+    build.operation = "MULTIPLY"
+    lamp = with_nodes(stage, build)
+    scene = stage.extract()
+    assert not scene.warnings
+    assert scene.lamps.falloff.tolist() == [[1, 0]]
+    bpy.data.objects.remove(lamp)
+    build.operation = "ADD"
+    with_nodes(stage, build)
+    scene = stage.extract()
+    assert any("in proportion" in warning for warning in scene.warnings)
+    assert scene.lamps.program.tolist() == [-1]
+    assert not scene.lamps.falloff.any()
