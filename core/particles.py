@@ -31,6 +31,7 @@ import numpy as np
 
 from .jit import inlined, kernel, leaf
 from .lamps.emission import FOR_EVER, emit
+from .lamps.links import lights
 from .lamps.shapes import AWAY_FROM_CENTRE, falloff
 from .lamps.tables import CASTS_SHADOW, FADING, NOMINAL, RADIUS, SEEN_BY_GLOSSY, SOFT
 from .rays.offsets import hit_point, offset_origin
@@ -39,7 +40,7 @@ from .rays.trace import ALL, intersect_packet
 from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
-from .scene import ANGLED, DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SHADOW, SPOT, TRANSLUCENT, TRANSPARENT
+from .scene import ANGLED, DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SPOT, TRANSLUCENT, TRANSPARENT
 from .surfaces.bumps import shadowing
 from .surfaces.layout import (
     GLOSSY_F0,
@@ -254,7 +255,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
             for lane in range(WIDTH):
                 if lane < lanes and flying[lane] and base + lane < survivors[bounce]:
                     # The first flight is a shadow ray of the lamp, seen from its other end.
-                    kinds = DIFFUSE | SHADOW if bounce == 0 else DIFFUSE
+                    kinds = DIFFUSE | scene.emitters.shadow_kinds[emitter[lane]] if bounce == 0 else DIFFUSE
                     set_ray(
                         packet, lane, origin[lane, 0], origin[lane, 1], origin[lane, 2],
                         direction[lane, 0], direction[lane, 1], direction[lane, 2], np.float32(0.0), np.float32(np.inf), kinds,
@@ -296,7 +297,9 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     seen = scene.object_visibility[scene.object[triangle]]
                     through = False
                     ahead = bounce > 0 or flown[lane] + t >= before[lane]
-                    unshadowed = bounce == 0 and not (seen & SHADOW and scene.emitters.flags[emitter[lane]] & CASTS_SHADOW)
+                    receives = seen & DIFFUSE and (bounce > 0 or lights(scene.emitters, emitter[lane], scene.object, triangle))
+                    hides = scene.emitters.shadow_kinds[emitter[lane]]
+                    unshadowed = bounce == 0 and not (seen & hides and scene.emitters.flags[emitter[lane]] & CASTS_SHADOW)
                     if not ahead:  # on the disk of a soft lamp, of which it hides a part from what is near
                         through = True
                         clear = (tr + tg + tb) / np.float32(3.0) if reverse else _0
@@ -306,7 +309,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                             near[lane] = max(near[lane], square[lane] / (before[lane] - flown[lane] - t))
                     elif unshadowed:  # it is lit, and so is what lies behind it: the particle does one or the other
                         through = True
-                        if seen & DIFFUSE:
+                        if receives:
                             through = uniform(seed, base + lane, bounce, 16 + _MAX_PASSED + passed) < np.float32(0.5)
                             for c in range(3):
                                 flux[lane, c] *= np.float32(2.0)
@@ -338,13 +341,13 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         flown[lane] += t
                     if through:
                         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-                        kinds = DIFFUSE | SHADOW if bounce == 0 else DIFFUSE
+                        kinds = DIFFUSE | hides if bounce == 0 else DIFFUSE
                         set_ray(packet, lane, ox, oy, oz, dx, dy, dz, np.float32(0.0), np.float32(np.inf), kinds)
                         n_rays += 1
                         landed_any = True
                         continue
                     disable_ray(packet, lane)
-                    if not seen & DIFFUSE or (bounce == 0 and flown[lane] < before[lane] + near[lane]):
+                    if not receives or (bounce == 0 and flown[lane] < before[lane] + near[lane]):
                         flying[lane] = False
                         continue
                     if bounce == 0 and scene.emitters.flags[emitter[lane]] & FADING:

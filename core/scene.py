@@ -15,6 +15,8 @@ import numpy as np
 # Ray kinds, as bits of `Geometry.object_visibility`, `Lamps.visibility` and `World.visibility`.
 CAMERA, DIFFUSE, GLOSSY, TRANSMISSION, SHADOW = 1, 2, 4, 8, 16
 ALL_RAYS = CAMERA | DIFFUSE | GLOSSY | TRANSMISSION | SHADOW
+# The bit of the first of BLOCKER_SETS sets of objects that hide an emitter which others do not hide: a kind of shadow rays of its own.
+FIRST_BLOCKER_SET, BLOCKER_SETS = 256, 22
 
 # Lamp kinds (`Lamps.kind`).
 POINT, SPOT, SUN, AREA = 0, 1, 2, 3
@@ -39,8 +41,10 @@ class Geometry:
     attributes: (K, T, 3, 4) float32, what materials read at the corners (a UV map, a colour
         attribute, generated or object coordinates): slot k means what each material says it means.
     material: (T,) int32 into `Materials`;  object: (T,) int32 into the object lists.
-    object_names: O names;  object_visibility: (O,) uint8 bits of ray kinds.
+    object_names: O names;  object_visibility: (O,) uint32 bits of ray kinds, and of the sets of blockers that an object is in.
     object_groups: O light group names ('' for none), None where no object has one.
+    object_receivers, object_blockers: (O,) int32, of objects that shine: the set of those that they light, and of those that hide them; -1 for
+        all, and where None is given.  receiver_sets: (K, O) uint8, 1 for the objects of each set of receivers; None for no set.
     lightmap_uv: (T, 3, 2) float32, where a bake asked for them: corners in the object's lightmap, NaN where it has none.
     """
 
@@ -54,6 +58,9 @@ class Geometry:
     object_visibility: np.ndarray
     object_groups: list[str] | None = None
     lightmap_uv: np.ndarray | None = None
+    object_receivers: np.ndarray | None = None
+    object_blockers: np.ndarray | None = None
+    receiver_sets: np.ndarray | None = None
 
 
 class MaterialTables(NamedTuple):
@@ -102,6 +109,7 @@ class Lamps:
         all lamps but suns; zeros where None is given.
     program: (L,) int32, number of the compiled material that says what a lamp shows each ray, times `emission`; -1 for an even one, and where
         None is given.
+    receivers, blockers: (L,) int32, as of `Geometry.object_receivers` and `object_blockers`.
     """
 
     kind: np.ndarray
@@ -120,12 +128,15 @@ class Lamps:
     groups: list[str]
     falloff: np.ndarray | None = None
     program: np.ndarray | None = None
+    receivers: np.ndarray | None = None
+    blockers: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if self.falloff is None:
             self.falloff = np.zeros((len(self.kind), 2), np.float32)
-        if self.program is None:
-            self.program = np.full(len(self.kind), -1, np.int32)
+        for name in ("program", "receivers", "blockers"):
+            if getattr(self, name) is None:
+                setattr(self, name, np.full(len(self.kind), -1, np.int32))
 
     def __len__(self) -> int:
         return len(self.kind)

@@ -16,6 +16,7 @@ from .inspection import foresee, savings
 from .jit import CompileTimer
 from .lamps import DirectLight, Emitters, LightGroups, build_emitters, direct_light, highlights
 from .lamps.escapes import shadows_alike
+from .lamps.links import is_linked
 from .methods.area_shadows import area_lamps, direct_by_soft_maps
 from .methods.fuzzy_clustering import FuzzyClustering
 from .methods.glossy import Reflections, has_lobes, reflect
@@ -233,7 +234,7 @@ def direct_stage(
         return by_rays(tables, lobes)
     by_maps, rays = mapped(tables, points, seed=seed, threads=threads)
     run.rays["shadow"] += rays
-    others = scene.lamps.take(~np.isin(scene.lamps.kind, kinds))
+    others = scene.lamps.take(~np.isin(scene.lamps.kind, kinds) | is_linked(scene.lamps))
     rest = by_rays(tables._replace(emitters=build_emitters(replace(scene, lamps=others))), False)
     lit = rest._replace(irradiance=by_maps + rest.irradiance)
     if not lobes:

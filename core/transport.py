@@ -34,7 +34,16 @@ def transport(geometry: Geometry, materials: MaterialTables, rays, emitters) -> 
     g = geometry
     return Reference(
         Transport(
-            rays, g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object, g.object_visibility, materials, emitters
+            rays,
+            g.vertices,
+            g.triangles,
+            g.corner_normals,
+            g.attributes,
+            g.material,
+            g.object,
+            g.object_visibility.astype(np.uint32),
+            materials,
+            emitters,
         )
     )
 

@@ -16,6 +16,7 @@ from .camera import camera_warnings, extract_camera, find_camera, image_frame
 from .evaluation import in_render_depsgraph
 from .geometry import Collected, assemble, collect
 from .lamps import CollectedLamps, collect_lamps, to_arrays, with_programs
+from .links import Links
 from .world import SUN_OF_SKY, Cycles, extract_world
 
 __all__ = ["extract_camera_and_lamps", "extract_scene", "extract_shown"]
@@ -50,7 +51,8 @@ def extract_scene(
     layer = _view_layer(scene, view_layer, depsgraph)
 
     def read(graph: bpy.types.Depsgraph):
-        return collect(graph, lightmaps), collect_lamps(graph), eye and extract_camera(eye.evaluated_get(graph), pixels)
+        links = Links.of(graph)
+        return collect(graph, lightmaps, links), collect_lamps(graph, links), eye and extract_camera(eye.evaluated_get(graph), pixels)
 
     found: Collected
     lamps: CollectedLamps
@@ -75,11 +77,12 @@ def extract_camera_and_lamps(
     layer = scene.view_layers[before.view_layer]
     layer.update()
     eye = find_camera(scene, camera).evaluated_get(layer.depsgraph)
-    found = collect_lamps(layer.depsgraph)
+    links = Links.of(layer.depsgraph)
+    found = collect_lamps(layer.depsgraph, links)
     lamps = to_arrays(found.lamps, before.origin)
     suns = before.lamps.take(np.array([name.endswith(SUN_OF_SKY) for name in before.lamps.names], bool))
     uneven = any(lamp.use is not None for lamp in found.lamps)  # their programs hold where they are
-    if not eye.is_evaluated or uneven or lamps.names + suns.names != before.lamps.names:
+    if not eye.is_evaluated or uneven or links or lamps.names + suns.names != before.lamps.names:
         return extract_scene(scene, camera=camera, size=size, view_layer=layer)
     view = extract_camera(eye, image_frame(scene, size))
     view.matrix[:3, 3] -= before.origin
@@ -99,7 +102,8 @@ def extract_shown(depsgraph: bpy.types.Depsgraph, camera: Camera) -> Scene:
     """
     scene = depsgraph.scene
     layer = scene.view_layers[depsgraph.view_layer_eval.name]
-    return _assembled(scene, layer, depsgraph, collect(depsgraph), collect_lamps(depsgraph), camera, "not")
+    links = Links.of(depsgraph)
+    return _assembled(scene, layer, depsgraph, collect(depsgraph, links=links), collect_lamps(depsgraph, links), camera, "not")
 
 
 def _assembled(
@@ -132,7 +136,7 @@ def _assembled(
         frame=scene.frame_current,
         view_layer=layer.name,
         light_groups=tuple(group.name for group in layer.lightgroups),
-        warnings=[*found.warnings, *dropped, *lamps.warnings, *world.warnings, *compiled.warnings],
+        warnings=[*found.warnings, *found.links.warnings, *dropped, *lamps.warnings, *world.warnings, *compiled.warnings],
         skipped=[*found.skipped, *lamps.skipped],
     )
 

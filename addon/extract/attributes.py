@@ -18,6 +18,7 @@ class Part:
     """One instance of a mesh: where it is and what it wears (original data-blocks; None is an empty slot).
 
     lightmap: the layer of its mesh that a lightmap is to be baked on ('' for none).  light_group: its name ('' for none).
+    receivers, blockers: numbers of its sets of linked objects (-1: all).  links: the original objects whose links to receivers and to blockers it shares.
     """
 
     mesh: MeshCopy
@@ -31,6 +32,9 @@ class Part:
     pass_index: int
     lightmap: str = ""
     light_group: str = ""
+    receivers: int = -1
+    blockers: int = -1
+    links: tuple[bpy.types.Object, bpy.types.Object] | None = None
 
     @property
     def worn(self) -> list[bpy.types.Material | None]:

@@ -17,6 +17,7 @@ from ...core.errors import SceneError
 from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION, Geometry, Skipped
 from ..materials import CompiledMaterials
 from .attributes import Batch, Part, fill, lightmap_uv, unit
+from .links import BLOCKERS, RECEIVERS, Links, blocker_bits
 from .meshes import MeshCopy, copy_mesh, face_normals, layer_names
 
 # Coordinates beyond this are taken for invalid: their squares overflow float32.
@@ -37,11 +38,12 @@ _NOT_TRIANGLES = {
 
 @dataclass
 class Collected:
-    """What `collect` found; `warnings` are lines for the user, `hidden` names of objects that no ray can see."""
+    """What `collect` found; `warnings` are lines for the user, `hidden` names of objects that no ray can see, `links` those of emitters to objects."""
 
     parts: list[Part] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     hidden: list[str] = field(default_factory=list)
+    links: Links = field(default_factory=Links)
 
     @cached_property
     def materials(self) -> list[bpy.types.Material | None]:
@@ -93,13 +95,14 @@ def light_group(instance: bpy.types.DepsgraphObjectInstance) -> str:
     return instance.object.lightgroup or (instance.parent.lightgroup if instance.is_instance else "")
 
 
-def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None = None) -> Collected:
+def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None = None, links: Links | None = None) -> Collected:
     """Copy every mesh of an evaluated scene once, and list its instances.
 
-    lightmaps: the UV map of each object, by name, that a lightmap is to be baked on.
+    lightmaps: the UV map of each object, by name, that a lightmap is to be baked on.  links: of the same evaluation, None for none.
     """
     lightmaps = lightmaps or {}
-    found = Collected()
+    links = Links() if links is None else links
+    found = Collected(links=links)
     notes: dict[str, None] = {}  # an ordered set: one line for a thing, however often it is instanced
     hidden: dict[str, None] = {}
     meshes: dict[int, MeshCopy | None] = {}
@@ -136,6 +139,7 @@ def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None 
                 pass_index=ob.pass_index,
                 lightmap="" if instance.is_instance else lightmaps.get(ob.name, ""),
                 light_group=light_group(instance),
+                **(_linked(instance, links) if links else {}),
             )
         )
     found.warnings.extend(notes)
@@ -144,6 +148,16 @@ def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None 
     if not found.parts:
         found.warnings.append("the scene has no meshes that a render shows")
     return found
+
+
+def _linked(instance: bpy.types.DepsgraphObjectInstance, links: Links) -> dict:
+    """The fields of `Part` that say what an instance is linked to."""
+    ob, parent = instance.object, instance.parent if instance.is_instance else None
+    return {
+        "receivers": links.number(ob, RECEIVERS),
+        "blockers": links.number(ob, BLOCKERS),
+        "links": (links.key(ob, parent, RECEIVERS), links.key(ob, parent, BLOCKERS)),
+    }
 
 
 def _notes(instance: bpy.types.DepsgraphObjectInstance, view_layer: bpy.types.ViewLayer) -> Iterator[str]:
@@ -159,9 +173,6 @@ def _notes(instance: bpy.types.DepsgraphObjectInstance, view_layer: bpy.types.Vi
         yield f"'{ob.name}' is a holdout: it is rendered as an ordinary object"
     if ob.type == "MESH" and ob.is_shadow_catcher:  # lamps are by default
         yield f"'{ob.name}' is a shadow catcher: it is rendered as an ordinary object"
-    links = ob.light_linking
-    if links is not None and (links.receiver_collection or links.blocker_collection):
-        yield f"light linking of '{ob.name}' is ignored: its light falls on every object"
 
 
 def _hash(name: str) -> int:
@@ -204,10 +215,16 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
         material=np.empty(total, np.int32),
         object=np.empty(total, np.int32),
         object_names=[part.name for part in parts],
-        object_visibility=np.array([part.visibility for part in parts], np.uint8),
+        object_visibility=np.array([part.visibility for part in parts], np.uint32),
         object_groups=[part.light_group for part in parts],
         lightmap_uv=np.empty((total, 3, 2), np.float32) if any(part.lightmap for part in parts) else None,
     )
+    if found.links:
+        receivers, blockers = ([part.links[k] for part in parts] for k in range(2))
+        geometry.receiver_sets = found.links.members(RECEIVERS, receivers)
+        geometry.object_visibility = blocker_bits(geometry.object_visibility, found.links.members(BLOCKERS, blockers))
+        geometry.object_receivers = np.array([part.receivers for part in parts], np.int32)
+        geometry.object_blockers = np.array([part.blockers for part in parts], np.int32)
     world = np.empty((sum(vertex_counts), 3), np.float64)
     index = {material: i for i, material in enumerate(found.materials)}
     mirrored, broken = np.zeros(len(parts), bool), np.zeros(len(parts), bool)

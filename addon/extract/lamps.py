@@ -18,6 +18,7 @@ import numpy as np
 from ...core.scene import AREA, DIFFUSE, ELLIPSE, GLOSSY, POINT, RECTANGLE, SPOT, SUN, Lamps, Skipped
 from ..materials import LampProgram, LampUse
 from .geometry import instance_visibility, light_group
+from .links import BLOCKERS, RECEIVERS, Links
 from .nodes import faded_emission, node_tree
 
 _KINDS = {"POINT": POINT, "SPOT": SPOT, "SUN": SUN, "AREA": AREA}
@@ -47,6 +48,8 @@ class Lamp:
     group: str = ""
     falloff: tuple[float, float] = (0.0, 0.0)
     program: int = -1
+    receivers: int = -1
+    blockers: int = -1
     use: LampUse | None = None  # of its nodes, where these tell rays apart
 
 
@@ -62,8 +65,8 @@ class CollectedLamps:
         self.skipped.append(Skipped("lamps", f"lamp '{name}' {why}"))
 
 
-def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
-    """Every lamp that an evaluated scene shows to a render."""
+def collect_lamps(depsgraph: bpy.types.Depsgraph, links: Links) -> CollectedLamps:
+    """Every lamp that an evaluated scene shows to a render; links: of the same evaluation."""
     found = CollectedLamps()
     view_layer = depsgraph.view_layer_eval
     seen = set()
@@ -102,6 +105,8 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph) -> CollectedLamps:
                 cast_shadow=light.use_shadow,
                 group=light_group(instance),
                 falloff=falloff,
+                receivers=links.number(ob, RECEIVERS) if links else -1,
+                blockers=links.number(ob, BLOCKERS) if links else -1,
             )
             if not is_even:
                 places = places or {other.name: np.array(other.matrix_world, np.float64) for other in depsgraph.objects}
@@ -154,6 +159,8 @@ def to_arrays(lamps: list[Lamp], origin: np.ndarray) -> Lamps:
         cast_shadow=column("cast_shadow", np.uint8),
         falloff=column("falloff"),
         program=column("program", np.int32),
+        receivers=column("receivers", np.int32),
+        blockers=column("blockers", np.int32),
         names=[lamp.name for lamp in lamps],
         groups=[lamp.group for lamp in lamps],
     )

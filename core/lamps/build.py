@@ -10,6 +10,7 @@ from ..scene import AREA, CAMERA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, GLOSSY, 
 from ..surfaces.batch import evaluate_batch
 from ..surfaces.layout import EMISSION
 from .groups import LightGroups
+from .links import object_links, receiver_sets, shadow_kinds
 from .sharp import small_lamps
 from .tables import (
     AREA_M2,
@@ -27,6 +28,7 @@ from .tables import (
     FADING,
     HALF_SPREAD,
     LAMP,
+    LINKED,
     LOWER,
     MAP,
     NOMINAL,
@@ -205,7 +207,14 @@ def _mesh(scene: Scene, ray_kind: int, threads: int):
 def lamp_tables(scene: Scene, ray_kind: int, light_group: np.ndarray) -> LampTables:
     """The analytic lamps that shine and are visible to rays of `ray_kind`; light_group: (L,) int32, of the scene's lamps."""
     source, kind, flags, radiance, _, _, lamps, _ = _lamps(scene, ray_kind, np.zeros((2, 3), np.float32))
-    return LampTables(kind.astype(np.int32), flags.astype(np.int32), radiance.astype(np.float32), lamps, light_group[source])
+    return LampTables(
+        kind.astype(np.int32),
+        flags.astype(np.int32),
+        radiance.astype(np.float32),
+        lamps,
+        light_group[source],
+        scene.lamps.receivers[source],
+    )
 
 
 def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, groups: LightGroups | None = None) -> Emitters:
@@ -224,14 +233,20 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
     lamps[spheres, WITHIN] = share_within(scene.geometry, lamps[spheres, POSITION : POSITION + 3], lamps[spheres, RADIUS], threads)
     triangle, material, mesh_flags, mesh_radiance, mesh_flux, mesh_bounds, shapes = _mesh(scene, ray_kind, threads)
     world = no_world()
-    parts = [(kind, flags, radiance, flux, bounds, groups.lamps[source])]
+    object_receivers, object_blockers = object_links(scene)
+    linked = scene.lamps.receivers[source], scene.lamps.blockers[source]
+    parts = [(kind, flags, radiance, flux, bounds, groups.lamps[source], *linked)]
     if scene.world.visibility & ray_kind and (scene.world.radiance > 0).any():
         world, mean, world_flux = world_table(scene.world.radiance, box)
         world_flags = CASTS_SHADOW + SEEN_BY_GLOSSY * bool(scene.world.visibility & GLOSSY)
-        parts.append((np.array([WORLD]), np.array([world_flags]), mean[None], world_flux[None], np.zeros((1, COLUMNS)), [groups.world]))
-    m = len(triangle)
-    parts.append((np.full(m, TRIANGLE), mesh_flags, mesh_radiance, mesh_flux, mesh_bounds, groups.objects[scene.geometry.object[triangle]]))
-    kind, flags, radiance, flux, bounds, light_group = (np.concatenate(columns) for columns in zip(*parts))
+        parts.append(
+            (np.array([WORLD]), np.array([world_flags]), mean[None], world_flux[None], np.zeros((1, COLUMNS)), [groups.world], [-1], [-1])
+        )
+    m, shining = len(triangle), scene.geometry.object[triangle]
+    linked = object_receivers[shining], object_blockers[shining]
+    parts.append((np.full(m, TRIANGLE), mesh_flags, mesh_radiance, mesh_flux, mesh_bounds, groups.objects[shining], *linked))
+    kind, flags, radiance, flux, bounds, light_group, receivers, blockers = (np.concatenate(columns) for columns in zip(*parts))
+    flags = flags | LINKED * (receivers >= 0)
 
     distant = np.flatnonzero((kind == SUN) | (kind == WORLD))
     analytic = np.flatnonzero((kind != SUN) & (kind < WORLD))
@@ -269,6 +284,9 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
         light_group=light_group.astype(np.int32),
         object_light_group=groups.objects,
         light_groups=len(groups.names),
+        receivers=receivers.astype(np.int32),
+        receiver_sets=receiver_sets(scene.geometry),
+        shadow_kinds=shadow_kinds(blockers),
         vertices=scene.geometry.vertices,
         triangles=scene.geometry.triangles,
         attributes=scene.geometry.attributes,

@@ -27,7 +27,7 @@ from ..rays.trace import OPAQUE, occluded1, occluded_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine, to_unit, uniform
 from ..sampling.sequences import sobol
-from ..scene import DIFFUSE, SHADOW, SUN
+from ..scene import DIFFUSE, SUN
 from ..surfaces.bumps import mean_shadowing, shadowing
 from ..surfaces.layout import EMISSION, SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count, set_lobe
@@ -37,6 +37,7 @@ from ..surfaces.terminator import LOW, lift
 from ..surfaces.visibility import OUTSIDE, nearest_surface, transmittance1
 from ..threads import Progress, run_chunks
 from .escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray, no_gather_rays
+from .links import is_hidden_alike, lights
 from .lookup import can_be_met, emitter_density, emitter_of, share_of
 from .sample import sample_emitter
 from .sharp import sharp_emitters
@@ -142,13 +143,16 @@ def deal(estimate, samples, offset, count, weight):
 
 
 @leaf
-def expected_samples(emitters, px, py, pz, nx, ny, nz, samples, estimate, count, expected):
-    """How many of `samples` each group gets at p with normal n, on average, into `expected` (G,).
+def expected_samples(scene, triangle, px, py, pz, nx, ny, nz, samples, estimate, count, expected):
+    """How many of `samples` each group gets at p, of a triangle, with normal n, on average, into `expected` (G,).
 
     estimate (G,) float32, count (G,) int32: scratch.
     """
+    emitters = scene.emitters
     for g in range(len(emitters.groups)):
         estimate[g] = group_estimate(emitters, g, px, py, pz, _0, nx, ny, nz)
+        if emitters.groups[g] >= 0 and not lights(emitters, emitters.groups[g], scene.object, triangle):
+            estimate[g] = _0
     deal(estimate, samples, np.float32(0.5), count, expected)
     for g in range(len(emitters.groups)):
         expected[g] = _1 / expected[g] if expected[g] > _0 else _0
@@ -202,26 +206,27 @@ def shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error, dx, dy, dz, t):
 
 
 @leaf
-def passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, entered):
-    """Share of light (r, g, b) that a shadow ray lets through up to t = end, and the share of that which passed no glass.
+def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered):
+    """Share of light (r, g, b) of emitter e that a shadow ray lets through up to t = end, and the share of that which passed no glass.
 
     entered: solids of glass that the path has entered before.
     """
-    if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, SHADOW):
+    kinds = scene.emitters.shadow_kinds[e]
+    if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, kinds):
         return _0, _0, _0, _1
     if not scene.emitters.cutouts:
         return _1, _1, _1, _1
-    r, g, b, clear = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, SHADOW, entered)
+    r, g, b, clear = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, entered)
     return r, g, b, max(_0, clear)
 
 
 @leaf
-def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, entered, seed, path, dimension):
+def direct_sample_at(scene, packet, rows, surface, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, entered, seed, path, dimension):
     """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine and the emitter of its light (-1: none), and its cosine with g; the mean is exact.
 
     For the tails of paths: random numbers are hashed from (seed, path, dimension, 0..3).
-    scene: Transport.  packet, rows, surface: scratch.  g, s: geometric and shading normal, on the lit side.
-    entered: solids of glass that the path has entered.
+    scene: Transport.  packet, rows, surface: scratch.  triangle: that the point is of, -1 for none.
+    g, s: geometric and shading normal, on the lit side.  entered: solids of glass that the path has entered.
     """
     emitters = scene.emitters
     chosen = -1
@@ -229,7 +234,7 @@ def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, s
     u = uniform(seed, path, dimension, 0)
     for group in range(len(emitters.groups)):  # reservoir sampling with one recycled random number
         estimate = group_estimate(emitters, group, x, y, z, _0, sx, sy, sz)
-        if estimate > _0:
+        if estimate > _0 and (emitters.groups[group] < 0 or lights(emitters, emitters.groups[group], scene.object, triangle)):
             total += estimate
             p = estimate / total
             if u < p:
@@ -246,7 +251,7 @@ def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, s
         e, probability = descend(
             tree.nodes, tree.two_sided, tree.children, tree.root, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 1)
         )
-        if e < 0:
+        if e < 0 or not lights(emitters, e, scene.object, triangle):
             return _0, _0, _0, _0, -1, _0
     dx, dy, dz, t, r, g, b, u, v = sample_emitter(
         emitters, e, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 2), uniform(seed, path, dimension, 3), rows, surface
@@ -258,7 +263,7 @@ def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, s
     w = cosine * total / (chosen_estimate * probability)
     if emitters.flags[e] & CASTS_SHADOW:
         ox, oy, oz, dx, dy, dz, end = shadow_ray(scene, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t)
-        tr, tg, tb, _ = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, entered)
+        tr, tg, tb, _ = passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered)
         r, g, b = r * tr, g * tg, b * tb
     return w * r, w * g, w * b, cosine, e, across
 
@@ -267,7 +272,7 @@ def direct_sample_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, s
 def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
     """The irradiance of `direct_sample_at`."""
     r, g, b, _, _, _ = direct_sample_at(
-        scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, OUTSIDE, seed, path, dimension
+        scene, packet, rows, surface, -1, x, y, z, error, gx, gy, gz, sx, sy, sz, OUTSIDE, seed, path, dimension
     )
     return r, g, b
 
@@ -301,6 +306,7 @@ class _Rays(NamedTuple):
     ray: (R, 7) float32, origin, direction, end of the range; the end is below 0 where nothing may stand in the way.
     light, glossy: (R, 3) float32, what they bring if nothing does.
     point, column: (R,) int32, of the block and of the output.  turn: (R,) int32, number among the first samples of the world, gather rays after the others; -1 for the rest.
+    kinds: (R,) int64, kinds of what may stand in the way.
     through: (R, 3) float32, the part that gets through.  clear: (R,) float32, the part of that which passed no glass.
     """
 
@@ -310,6 +316,7 @@ class _Rays(NamedTuple):
     point: np.ndarray
     column: np.ndarray
     turn: np.ndarray
+    kinds: np.ndarray
     through: np.ndarray
     clear: np.ndarray
 
@@ -329,7 +336,7 @@ def _new_block(points, groups):
 def _new_rays(n):
     f, i = np.float32, np.int32
     return _Rays(
-        np.empty((n, 7), f), np.empty((n, 3), f), np.zeros((n, 3), f), np.empty(n, i), np.empty(n, i), np.empty(n, i),
+        np.empty((n, 7), f), np.empty((n, 3), f), np.zeros((n, 3), f), np.empty(n, i), np.empty(n, i), np.empty(n, i), np.empty(n, np.int64),
         np.empty((n, 3), f), np.empty(n, f),
     )  # fmt: skip
 
@@ -353,6 +360,8 @@ def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, bloc
             )
         else:
             block.estimate[k, g] = group_estimate(emitters, g, px, py, pz, around, sx, sy, sz)
+            if not lights(emitters, emitters.groups[g], scene.object, points.triangle[i]):
+                block.estimate[k, g] = _0
     deal(block.estimate[k], samples, to_unit(hash_combine(hash_combine(seed, i), first)), block.count[k], block.weight[k])
     for g in range(len(emitters.groups)):
         block.number[k, g] = _1 / block.weight[k, g] if block.weight[k, g] > _0 else _0
@@ -360,7 +369,7 @@ def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, bloc
         set_point_lobe(points, i, block.lobe[k])
         block.drawn[k] = reflection_count(block.lobe[k], points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], reflections)
         if block.drawn[k] > 0:
-            expected_samples(emitters, px, py, pz, sx, sy, sz, samples, block.estimate[k], spare, block.expected[k])
+            expected_samples(scene, points.triangle[i], px, py, pz, sx, sy, sz, samples, block.estimate[k], spare, block.expected[k])
     block.first[k] = 0
     for g in range(len(emitters.groups)):
         if _is_world(emitters, g):
@@ -429,7 +438,7 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
     if across <= _0:  # from below the facet, yet above the smooth surface: by this ray alone, for no gather ray or ray of a lobe goes there
         if points.tilt[i] > _0 or points.triangle[i] < 0 or emitters.kind[e] == WORLD:
             return n
-    elif points.gathered[i] > 0 and emitters.kind[e] == TRIANGLE:
+    elif points.gathered[i] > 0 and emitters.kind[e] == TRIANGLE and is_hidden_alike(emitters, e):
         w *= share_of(
             aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz), _gather_density(points.gathered[i], cosine)
         )
@@ -453,7 +462,7 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
         ray[0], ray[1], ray[2], ray[3], ray[4], ray[5], ray[6] = shadow_ray(
             scene, e, u, v, px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz, t
         )
-    rays.point[n], rays.column[n], rays.turn[n] = k, 3 * emitters.light_group[e], turn
+    rays.point[n], rays.column[n], rays.turn[n], rays.kinds[n] = k, 3 * emitters.light_group[e], turn, emitters.shadow_kinds[e]
     return n + 1
 
 
@@ -486,7 +495,7 @@ def _aim(scene, points, start, size, block, seed, first, rows, surface, rays):
                         tree.nodes, tree.two_sided, tree.children, px, py, pz, sx, sy, sz, block.members[k], block.cdf[k], block.size[k],
                         sobol(index, 2, scramble), to_unit(hash_combine(scramble, index)),
                     )  # fmt: skip
-                    if e < 0:
+                    if e < 0 or not lights(emitters, e, scene.object, points.triangle[i]):
                         continue
                     w *= rarity
                 u1, u2 = sobol(index, 0, scramble), sobol(index, 1, scramble)
@@ -607,7 +616,7 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
                 OUTSIDE,
             )
             e = emitter_of(emitters, triangle) if triangle >= 0 else -1
-            if e < 0:
+            if e < 0 or not (is_hidden_alike(emitters, e) and lights(emitters, e, scene.object, points.triangle[i])):
                 continue
             aimed = aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz)
             density = _gather_density(points.gathered[i], cosine)
@@ -631,7 +640,7 @@ def _trace(scene, packet, rows, surface, points, start, rays, n):
         for lane in range(WIDTH):
             if begin + lane < end and rays.ray[begin + lane, 6] >= _0:
                 p = rays.ray[begin + lane]
-                set_ray(packet, lane, p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW)
+                set_ray(packet, lane, p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], rays.kinds[begin + lane])
                 cast += 1
             else:
                 disable_ray(packet, lane)
@@ -645,7 +654,7 @@ def _trace(scene, packet, rows, surface, points, start, rays, n):
                 elif scene.emitters.cutouts:
                     entered = np.int64(points.entered[start + rays.point[j]])
                     tr, tg, tb, clear = transmittance1(
-                        scene, packet, rows, surface, p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], SHADOW, entered
+                        scene, packet, rows, surface, p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], rays.kinds[j], entered
                     )
                     if clear < _0:  # a lens throws it elsewhere: a caustic, which is not found
                         tr = tg = tb = _0

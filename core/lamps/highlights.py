@@ -19,6 +19,7 @@ from ..surfaces.lobes import ALPHA, LOBE, flattened_lobe, set_lobe
 from ..surfaces.program import new_registers
 from ..threads import run_chunks
 from .direct import passed, shadow_ray
+from .links import lights
 from .sample import sample_emitter
 from .tables import CASTS_SHADOW, SEEN_BY_GLOSSY, SHARP
 
@@ -60,6 +61,8 @@ def _highlights_chunk(scene, points, which, lamps, begin, end, seed, out):
                 pz += points.spread[i, place - 1, 2]
             for lamp in range(len(lamps)):
                 e = lamps[lamp]
+                if not lights(emitters, e, scene.object, points.triangle[i]):
+                    continue
                 u1, u2 = sobol(place, 0, hash_combine(key, lamp)), sobol(place, 1, hash_combine(key, lamp))
                 dx, dy, dz, t, r, g, b, u, v = sample_emitter(emitters, e, px, py, pz, nx, ny, nz, u1, u2, rows, surface)
                 if nx * dx + ny * dy + nz * dz <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
@@ -70,7 +73,7 @@ def _highlights_chunk(scene, points, which, lamps, begin, end, seed, out):
                 tr = tg = tb = clear = np.float32(1.0)
                 if emitters.flags[e] & CASTS_SHADOW:
                     ox, oy, oz, dx, dy, dz, end_t = shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz, t)
-                    tr, tg, tb, clear = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end_t, entered)
+                    tr, tg, tb, clear = passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end_t, entered)
                     cast += 1
                 r, g, b = part * fr * r * tr, part * fg * g * tg, part * fb * b * tb
                 c = 3 * emitters.light_group[e]

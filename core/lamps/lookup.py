@@ -11,6 +11,7 @@ import numpy as np
 
 from ..jit import inlined, leaf
 from ..scene import AREA, SUN
+from .links import is_hidden_alike
 from .shapes import area_part, area_view, falloff, lamp_cone, spot_attenuation, spread_attenuation, triangle_view
 from .solid_angle import rectangle_angle, triangle_angle
 from .tables import (
@@ -50,7 +51,9 @@ def share_of(own, other):
 
 @inlined
 def can_be_met(emitters, e):
-    """Whether emitter e has a size, so that a ray can meet it."""
+    """Whether emitter e has a size, so that a ray can meet it; surfaces that others hide from shadow rays count as having none."""
+    if emitters.kind[e] == TRIANGLE:
+        return is_hidden_alike(emitters, e)
     if emitters.kind[e] >= WORLD or emitters.kind[e] == AREA:
         return True
     return emitters.lamps[e, ONE_MINUS_COS if emitters.kind[e] == SUN else RADIUS] > _0

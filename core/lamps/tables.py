@@ -18,8 +18,9 @@ WORLD, TRIANGLE = 4, 5
 # Bits of `Emitters.flags`: casts shadows; a disk that faces the point it lights instead of a sphere; an ellipse
 # instead of a rectangle; a triangle or a lamp whose radiance varies; visible to glossy rays, to the camera (lamps only), and to it
 # through glass (lamps only); so small, and one of so few, that it has `highlights` of its own; a
-# lamp with a falloff of its own.
+# lamp with a falloff of its own; lights some objects only.
 CASTS_SHADOW, SOFT, ELLIPTIC, TEXTURED, SEEN_BY_GLOSSY, SEEN_BY_CAMERA, SEEN_THROUGH_GLASS, SHARP, FADING = 1, 2, 4, 8, 16, 32, 64, 128, 256
+LINKED = 512
 
 # Columns of `Emitters.lamps`: xyz of position (m) and of the unit axes, shining along -z; radius (m); cosines where a
 # spot's smooth edge begins and where it is full; 1 - cos of a sun's half angle; full widths (m), half spread (rad) and
@@ -81,6 +82,7 @@ class LampTables(NamedTuple):
     radiance: np.ndarray
     lamps: np.ndarray
     light_group: np.ndarray
+    receivers: np.ndarray
 
 
 class EmissionMaps(NamedTuple):
@@ -114,6 +116,8 @@ class Emitters(NamedTuple):
     aim: (4,), centre and radius of a sphere to which emitters far off send more of their particles, radius 0 for none.
     cutouts: whether anything in the scene lets light through.
     light_group: (E,) int32, object_light_group: (O,) int32: the light group of each emitter, and of each object's triangles.
+    receivers: (E,) int32, the set of objects that an emitter which is LINKED lights, receiver_sets: (K, O) uint8, 1 for those of each set.
+    shadow_kinds: (E,) int64, the kind of its shadow rays, which meet what hides it.
     light_groups: their number G, 1 where light is not told apart.  What adds light up has three columns for each of them.
     vertices, triangles, attributes, materials: of the scene, for triangles.
     """
@@ -140,6 +144,9 @@ class Emitters(NamedTuple):
     light_group: np.ndarray
     object_light_group: np.ndarray
     light_groups: int
+    receivers: np.ndarray
+    receiver_sets: np.ndarray
+    shadow_kinds: np.ndarray
     vertices: np.ndarray
     triangles: np.ndarray
     attributes: np.ndarray

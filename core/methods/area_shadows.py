@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel
+from ..lamps.links import is_unlinked
 from ..lamps.sample import sample_emitter
 from ..lamps.tables import AXIS_X, CASTS_SHADOW, POSITION, SIZE
 from ..sampling.sequences import r2
@@ -57,7 +58,7 @@ def _direct(emitters, lamps, maps, points, begin, end, samples, seed, materials,
 
 def area_lamps(emitters) -> np.ndarray:
     """Numbers of the emitters that are area lamps."""
-    return np.flatnonzero(emitters.kind == AREA).astype(np.int32)
+    return np.flatnonzero((emitters.kind == AREA) & is_unlinked(emitters)).astype(np.int32)
 
 
 def direct_by_soft_maps(

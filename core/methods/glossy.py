@@ -14,6 +14,7 @@ import numpy as np
 
 from ..jit import inlined, kernel, leaf
 from ..lamps.direct import aimed_density, direct_light, expected_samples, is_turned, passed, set_point_lobe
+from ..lamps.links import is_hidden_alike, lights
 from ..lamps.lookup import emitter_of, lamp_along, share_of
 from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, SHARP, TEXTURED, WORLD
 from ..lamps.textured import shown_from
@@ -79,24 +80,24 @@ def _add_shining(shown, by_glass, i, c, clear, r, g, b):
 
 @leaf
 def _lamps_along(
-    scene, packet, rows, surface, expected, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, entered, wr, wg, wb,
+    scene, packet, rows, surface, on, expected, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, entered, wr, wg, wb,
     shown, by_glass, i,
 ):  # fmt: skip
     """Adds the radiance of the lamps along d, weighed by w and the share of rays drawn with the density `drawn`, to row i of `shown`, or of
-    `by_glass`.  Lamps hide nothing, neither each other nor what lies behind them.  turned: whether sharp ones have `highlights` there.
+    `by_glass`, of a point of the triangle `on`.  Lamps hide nothing, neither each other nor what lies behind them.  turned: whether sharp ones have `highlights` there.
     """
     emitters = scene.emitters
     for e in range(len(emitters.source)):
         if not emitters.flags[e] & SEEN_BY_GLOSSY or (turned and emitters.flags[e] & SHARP):
             continue
         t, w = lamp_along(emitters, e, x, y, z, dx, dy, dz)
-        if not w > _0:
+        if not w > _0 or not lights(emitters, e, scene.object, on):
             continue
         w *= share_of(drawn, aimed_density(emitters, expected, e, x, y, z, sx, sy, sz, dx, dy, dz))
         tr = tg = tb = clear = _1
         if emitters.flags[e] & CASTS_SHADOW:
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-            tr, tg, tb, clear = passed(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t * _SHORT, entered)
+            tr, tg, tb, clear = passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, t * _SHORT, entered)
         tr, tg, tb = wr * w * tr * emitters.radiance[e, 0], wg * w * tg * emitters.radiance[e, 1], wb * w * tb * emitters.radiance[e, 2]
         if emitters.flags[e] & TEXTURED:
             sr, sg, sb = shown_from(
@@ -156,7 +157,7 @@ def _reflect_chunk(
         x, y, z, error = points.position[i, 0], points.position[i, 1], points.position[i, 2], points.error[i]
         gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
         sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
-        expected_samples(emitters, x, y, z, sx, sy, sz, samples, estimate, count, expected)
+        expected_samples(scene, points.triangle[i], x, y, z, sx, sy, sz, samples, estimate, count, expected)
         key = hash_combine(seed, i)
         entered = np.int64(points.entered[i])
         wide = (shared.gather[i] > 0 or shared.lights) and is_wide(lobe)
@@ -172,7 +173,7 @@ def _reflect_chunk(
             vr, vg, vb = wr, wg, wb  # before what lies on the way
             rays += 1
             _lamps_along(
-                scene, packet, rows, surface, expected, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx,
+                scene, packet, rows, surface, points.triangle[i], expected, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx,
                 dy, dz, entered, wr, wg, wb, shown, known, i,
             )  # fmt: skip
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
@@ -204,8 +205,8 @@ def _reflect_chunk(
             if behind:
                 hx, hy, hz, nx, ny, nz = -hx, -hy, -hz, -nx, -ny, -nz
             cosine = lobe_cosine(nx, ny, nz, hx, hy, hz, -dx, -dy, -dz)
-            if flags & EMISSIVE:
-                e = emitter_of(emitters, triangle)
+            e = emitter_of(emitters, triangle) if flags & EMISSIVE else -1
+            if flags & EMISSIVE and (e < 0 or (is_hidden_alike(emitters, e) and lights(emitters, e, scene.object, points.triangle[i]))):
                 share = _1
                 if e >= 0:
                     share = share_of(drawn, aimed_density(emitters, expected, e, x, y, z, sx, sy, sz, dx, dy, dz))

@@ -93,7 +93,7 @@ def _probe_path(
         probes.normal[probe, 0], probes.normal[probe, 1], probes.normal[probe, 2] = gx, gy, gz
         mirrored = _0 if encloses(scene.materials.flags[scene.material[triangle]], behind) else _1
         tx, ty, tz, r, g, b, kinds = scatter_light(
-            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered, LAMP_RAYS, True, seed, path, at,
+            scene, packet, rows, surface, lobe, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered, LAMP_RAYS, True, seed, path, at,
             probes.direct, probes.shine, probe, _1, _1, _1, mirrored,
         )  # fmt: skip
         rays += LAMP_RAYS

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel
+from ..lamps.links import is_unlinked
 from ..lamps.sample import sample_emitter
 from ..lamps.tables import CASTS_SHADOW, POSITION
 from ..particles import Vpls
@@ -120,7 +121,7 @@ def _direct(emitters, lamps, maps, points, begin, end, samples, seed, rows_of, o
 
 def point_lamps(emitters) -> np.ndarray:
     """Numbers of the emitters that a cube map serves: point and spot lamps."""
-    return np.flatnonzero((emitters.kind == POINT) | (emitters.kind == SPOT)).astype(np.int32)
+    return np.flatnonzero(((emitters.kind == POINT) | (emitters.kind == SPOT)) & is_unlinked(emitters)).astype(np.int32)
 
 
 def direct_by_maps(

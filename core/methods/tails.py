@@ -47,12 +47,12 @@ DIMENSIONS = 100
 
 @leaf
 def scatter_light(
-    scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, lamp_rays, diffuse, seed, path, at,
+    scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, lamp_rays, diffuse, seed, path, at,
     out, shine, i, kr, kg, kb, sheen,
 ):  # fmt: skip
     """What a surface sends towards w at first hand, and a ray that finds the rest.
 
-    (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
+    on: its triangle.  (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
     overwritten.  lobe: (LOBE,) float32, scratch.  entered: solids of glass that the surface lies in, to its view.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn.  at: first dimension.
     out, shine: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, of what
     comes through, and of a `WIDE` glossy lobe, to that of `out`, of another glossy one, times `sheen`, to that of `shine`.
@@ -72,7 +72,7 @@ def scatter_light(
         if k == lamp_rays:
             side = -_1
         r, g, b, cosine, e, across = direct_sample_at(
-            scene, packet, rows, surface, x, y, z, error, side * gx, side * gy, side * gz, side * sx, side * sy, side * sz, entered, seed, path, at + 20 + k
+            scene, packet, rows, surface, on, x, y, z, error, side * gx, side * gy, side * gz, side * sx, side * sy, side * sz, entered, seed, path, at + 20 + k
         )  # fmt: skip
         if e < 0:
             continue
@@ -130,7 +130,7 @@ def scatter_light(
 
 @leaf
 def path_light(
-    scene, packet, rows, surface, lobe, cache, near, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, bounces, seed, path,
+    scene, packet, rows, surface, lobe, cache, near, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, bounces, seed, path,
     out, i, kr, kg, kb, own, sheen,
 ):  # fmt: skip
     """Adds one sample of pi times the radiance that a surface sends towards w, weighed by k, to row i of `out`.
@@ -150,7 +150,7 @@ def path_light(
         first = own if vertex == 0 else _1
         shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
         dx, dy, dz, tr, tg, tb, kinds = scatter_light(
-            scene, packet, rows, surface, lobe, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, 1, left > 0, seed, path, at,
+            scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, 1, left > 0, seed, path, at,
             out, out, i, first * kr * wr, first * kg * wg, first * kb * wb, shine,
         )  # fmt: skip
         if kinds == 0:
@@ -171,6 +171,7 @@ def path_light(
         )
         if triangle < 0:
             break
+        on = triangle
         wr, wg, wb = wr * r, wg * g, wb * b
         x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
@@ -210,7 +211,7 @@ def _tail_chunk(scene, cache, near, points, further, begin, end, bounces, seed, 
             surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c] = inverse * points.f0[i, c], inverse * points.f90[i, c]
         surface[ROUGHNESS] = points.roughness[i]
         path_light(
-            scene, packet, rows, surface, lobe, cache, near, points.position[i, 0], points.position[i, 1], points.position[i, 2],
+            scene, packet, rows, surface, lobe, cache, near, points.triangle[i], points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
             points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], np.int64(points.entered[i]), most, seed, np.uint32(i),
             out, i, weight, weight, weight, _1, _1,

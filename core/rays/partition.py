@@ -8,7 +8,7 @@ import numpy as np
 
 from ..jit import kernel
 
-OBJECT_BITS = 31
+KIND_BITS, OBJECT_BITS = 30, 31
 
 
 class Group(NamedTuple):
@@ -61,7 +61,7 @@ def partition(
 ) -> Partition:
     """Group the triangles that can be hit at all (see `RayScene` for the arguments)."""
     index = np.flatnonzero(valid_triangles(vertices, triangles) & (visibility != 0)).astype(np.int32)
-    key = transparent[index].astype(np.int64) * 256 + visibility[index]
+    key = transparent[index].astype(np.int64) << KIND_BITS | visibility[index]
     key = key << OBJECT_BITS | (0 if moving is None else moving[index])
     order = np.argsort(key, kind="stable")
     index, key = index[order], key[order]
@@ -69,5 +69,6 @@ def partition(
     sets: tuple[list[Group], list[Group]] = ([], [])
     for begin, end in zip(border[:-1].tolist(), border[1:].tolist()):
         kind, which = divmod(int(key[begin]), 1 << OBJECT_BITS)
-        sets[kind // 256].append(Group(begin, end, kind % 256, which))
+        which_set, visible = divmod(kind, 1 << KIND_BITS)
+        sets[which_set].append(Group(begin, end, visible, which))
     return Partition(np.ascontiguousarray(index), *sets)

@@ -25,7 +25,7 @@ class RayScene:
     A ray of kinds `mask` meets the triangles whose visibility shares a bit with it.  Triangles with a
     corner that is not finite, or of no area, are never met.  Hits report indices into `triangles`.
 
-    vertices: (V, 3) float32.  triangles: (T, 3) int32.  visibility: (T,) uint8, bits of ray kinds
+    vertices: (V, 3) float32.  triangles: (T, 3) int32.  visibility: (T,) uint32, bits of ray kinds
         (default: all).  transparent: (T,) bool (default: none).
     moving: (T,) int32, 0 for what keeps its place; triangles of every other number can be moved together (see `move`).
     backend: 'embree', 'bvh', or 'auto': Embree where its wheel is installed.
@@ -37,7 +37,7 @@ class RayScene:
         triangles = np.ascontiguousarray(triangles, np.int32).reshape(-1, 3)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(vertices):
             raise ValueError("triangles index vertices that do not exist")
-        visibility = np.full(len(triangles), ALL_RAYS, np.uint8) if visibility is None else np.asarray(visibility, np.uint8)
+        visibility = np.full(len(triangles), ALL_RAYS, np.uint32) if visibility is None else np.asarray(visibility, np.uint32)
         transparent = np.zeros(len(triangles), bool) if transparent is None else np.asarray(transparent, bool)
         parts = partition(vertices, triangles, visibility, transparent, moving)
         self._moving, self._triangles = moving, triangles

@@ -9,7 +9,7 @@ from ..lamps import Emitters
 from ..lamps.tables import CASTS_SHADOW, CORNERS, POSITION, RADIUS, SIZE, WORLD
 from ..particles import Vpls
 from ..sampling.discrete import cumulative
-from ..scene import SUN
+from ..scene import SHADOW, SUN
 from ..view.points import ShadingPoints
 from .build import Topology
 
@@ -54,7 +54,7 @@ def _reach(node_of, room, seen, low, high, out):
 
 
 def reachable_emitters(topology: Topology, seen: np.ndarray, emitters: Emitters) -> np.ndarray:
-    """(E,) bool: emitters whose light may get into the rooms `seen` (rooms,); those without shadows shine through walls."""
+    """(E,) bool: emitters whose light may get into the rooms `seen` (rooms,); those without shadows, or with those of some objects only, shine through walls."""
     corners = emitters.shapes[:, CORNERS : CORNERS + 9].reshape(-1, 3, 3)
     lamps = emitters.lamps
     around = np.maximum(lamps[:, RADIUS], np.hypot(lamps[:, SIZE], lamps[:, SIZE + 1]) / 2)[:, None]
@@ -63,7 +63,7 @@ def reachable_emitters(topology: Topology, seen: np.ndarray, emitters: Emitters)
     low = topology.grid.cell_of(np.concatenate([at - around, away, corners.min(axis=1)])) - 1
     high = topology.grid.cell_of(np.concatenate([at + around, away, corners.max(axis=1)])) + 1
     # A surface that shines touches its own voxels and those on either side of them.
-    distant = (emitters.kind == SUN) | (emitters.kind == WORLD) | ((emitters.flags & CASTS_SHADOW) == 0)
+    distant = (emitters.kind == SUN) | (emitters.kind == WORLD) | ((emitters.flags & CASTS_SHADOW) == 0) | (emitters.shadow_kinds != SHADOW)
     _reach(topology.node_of, topology.room, seen, low, high, distant)
     return distant
 

@@ -10,6 +10,7 @@ import numpy as np
 from ..jit import kernel, leaf
 from ..lamps.build import lamp_tables
 from ..lamps.groups import LightGroups
+from ..lamps.links import in_set
 from ..lamps.lookup import lamp_along
 from ..lamps.tables import AXIS_Z, ONE_MINUS_COS, POSITION, RADIUS, SIZE, TEXTURED, LampTables
 from ..lamps.textured import shown_from
@@ -89,15 +90,16 @@ def lamps_in_tile(lamps, camera, x0, y0, x1, y1, near):
 
 
 @kernel
-def lamps_between(lamps, near, n, seen_by, ox, oy, oz, dx, dy, dz, start, end, weight, materials, attributes, rows, surface, out):
+def lamps_between(lamps, near, n, seen_by, ox, oy, oz, dx, dy, dz, start, end, on, geometry, weight, materials, rows, surface, out):
     """Adds the radiance of the lamps near[0..n-1] whose distance along the unit direction d from o lies in start..end to `out` (G, 3).
 
     seen_by: SEEN_BY_CAMERA, SEEN_THROUGH_GLASS or SEEN_BY_GLOSSY.  weight: (3,) float32.
-    materials, attributes, rows, surface: as for `evaluate`, for lamps with programs.
+    on: triangle of the mirror or the glass before, -1 for none, of which the lamps are seen that light it.  geometry: as of `view`.
+    materials, rows, surface: as for `evaluate`, for lamps with programs.
     """
     for k in range(n):
         i = near[k]
-        if not lamps.flags[i] & seen_by:
+        if not lamps.flags[i] & seen_by or not in_set(geometry.receiver_sets, lamps.receivers[i], geometry.object, on):
             continue
         t, share = lamp_along(lamps, i, ox, oy, oz, dx, dy, dz)
         if share > _0 and start <= t and t <= end:
@@ -108,7 +110,7 @@ def lamps_between(lamps, near, n, seen_by, ox, oy, oz, dx, dy, dz, start, end, w
             )
             if lamps.flags[i] & TEXTURED:
                 sr, sg, sb = shown_from(
-                    materials, attributes, lamps.kind[i], lamps.flags[i], lamps.lamps, i, ox, oy, oz, dx, dy, dz, t, rows, surface
+                    materials, geometry.attributes, lamps.kind[i], lamps.flags[i], lamps.lamps, i, ox, oy, oz, dx, dy, dz, t, rows, surface
                 )
                 r, g, b = r * sr, g * sg, b * sb
             out[lamps.light_group[i], 0] += r

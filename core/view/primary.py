@@ -18,6 +18,7 @@ import numpy as np
 from ..film import SQUARE, Film
 from ..jit import inlined, kernel, leaf
 from ..lamps.groups import LightGroups
+from ..lamps.links import object_links, receiver_sets
 from ..lamps.tables import WorldTable
 from ..lamps.world import world_tables
 from ..rays.packet import WIDTH, new_packet
@@ -79,7 +80,7 @@ class Worlds(NamedTuple):
 
 
 class _Geometry(NamedTuple):
-    """As in `scene.Geometry`, and the light group of each object."""
+    """As in `scene.Geometry`, and of each object its light group, and the set of those that it lights, of `receiver_sets`."""
 
     vertices: np.ndarray
     triangles: np.ndarray
@@ -88,6 +89,8 @@ class _Geometry(NamedTuple):
     material: np.ndarray
     object: np.ndarray
     light_group: np.ndarray
+    receivers: np.ndarray
+    receiver_sets: np.ndarray
 
 
 @dataclass
@@ -399,7 +402,17 @@ def view(
     least, most = sample_counts(samples)
     chunk = 64
     g = scene.geometry
-    geometry = _Geometry(g.vertices, g.triangles, g.corner_normals, g.attributes, g.material, g.object, groups.objects)
+    geometry = _Geometry(
+        g.vertices,
+        g.triangles,
+        g.corner_normals,
+        g.attributes,
+        g.material,
+        g.object,
+        groups.objects,
+        object_links(scene)[0],
+        receiver_sets(g),
+    )
     seen = world if scene.world.seen is None else world_tables(replace(scene.world, radiance=scene.world.seen))
     tables = (rays, camera, with_mirrors(with_viewer(scene), g), geometry, visible_lamps(scene, groups), Worlds(world, seen))
     n_lamps = len(tables[4].kind)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
+from ..lamps.links import in_set
 from ..lamps.tables import SEEN_BY_CAMERA, SEEN_BY_GLOSSY, SEEN_THROUGH_GLASS
 from ..lamps.world import world_radiance
 from ..rays.offsets import hit_point, offset_origin
@@ -99,6 +100,7 @@ class Tile(NamedTuple):
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
     origin: (16, 3), passed: (16,) float32, of the rays of a packet.  axial, before: (16,) float32, depth (m) by a meter of it, and before its origin.
     choice: (16, 2) float32, a uniform number for the next surface with transparency, and the share of all samples among which it is even.
+    shown_by: (16, R) int32, triangle of the mirror or the glass through which a row is seen, -1 for none.
     parted: (16,) int32, whether the sample shows a surface without glass as well as what lies behind it.
     every: (A,) int32, all lamps.  lobe: (LOBE,) float32, scratch.
     """
@@ -132,6 +134,7 @@ class Tile(NamedTuple):
     parted: np.ndarray
     every: np.ndarray
     lobe: np.ndarray
+    shown_by: np.ndarray
 
 
 @kernel
@@ -146,7 +149,7 @@ def new_tile(samples, light_groups, lamps):
         np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, SAMPLE), f),
         np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, 14), f),
         np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f), np.empty(WIDTH, f), np.empty(WIDTH, f),
-        np.empty((WIDTH, 2), f), np.empty(WIDTH, i), np.arange(lamps).astype(i), np.empty(LOBE, f),
+        np.empty((WIDTH, 2), f), np.empty(WIDTH, i), np.arange(lamps).astype(i), np.empty(LOBE, f), np.empty((WIDTH, rows), i),
     )  # fmt: skip
 
 
@@ -334,6 +337,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
         glass[pixel, s] = entered[pixel, s] = 0
         kinds[pixel, s] = CAMERA
         tile.shown[pixel, s] = 0
+        tile.shown_by[pixel, s] = -1
         tile.shining[pixel, s] = 1
         passed[lane] = _0
         tile.parted[lane] = 0
@@ -359,7 +363,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                     lamps, tile.every if mirrored else near_lamps, n_met, seen_by,
                     origin[lane, 0], origin[lane, 1], origin[lane, 2],
                     direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2], passed[lane], end,
-                    weight[pixel, s], materials, attributes, rows, surface, tile.lamps[pixel, min(glass[pixel, s], 2)],
+                    tile.shown_by[pixel, s], geometry, weight[pixel, s], materials, rows, surface, tile.lamps[pixel, min(glass[pixel, s], 2)],
                 )  # fmt: skip
             if triangle < 0:
                 disable_ray(packet, lane)
@@ -402,6 +406,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                     tile.count[pixel] += 1
                     glass[pixel, row], kinds[pixel, row], entered[pixel, row] = glass[pixel, s], kinds[pixel, s], entered[pixel, s]
                     tile.shown[pixel, row], tile.shining[pixel, row] = tile.shown[pixel, s], tile.shining[pixel, s]
+                    tile.shown_by[pixel, row] = tile.shown_by[pixel, s]
                     tile.shown[pixel, s] = 0
                     for c in range(3):
                         direction[pixel, row, c] = direction[pixel, s, c]
@@ -423,6 +428,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                 tile.before[lane] += t * tile.axial[lane]
                 glass[pixel, s] += 1
                 kinds[pixel, s] = GLOSSY
+                tile.shown_by[pixel, s] = triangle
                 tile.shining[pixel, s] = surface[ROUGHNESS] <= PERFECT
                 passed[lane] = _0
             else:
@@ -430,6 +436,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                     glass[pixel, s] += 1
                     entered[pixel, s] = passed_glass(entered[pixel, s], behind)
                     kinds[pixel, s] = TRANSMISSION
+                    tile.shown_by[pixel, s] = triangle
                 # Past the hit by a few rounding errors of t, so that the surface is not met again.
                 start = t + np.float32(4e-6) * (t + camera.clip[0])
                 if kinds[pixel, s] == CAMERA:
@@ -506,7 +513,8 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
                 out[MEAN_NORMALS + 2] += part * sz
             emitted = before + 3 * GLASS * light_group[object_of[triangle]]
             er, eg, eb = wr * surface[EMISSION], wg * surface[EMISSION + 1], wb * surface[EMISSION + 2]
-            if not tile.shining[pixel, s]:
+            lights = in_set(geometry.receiver_sets, geometry.receivers[object_of[triangle]], object_of, tile.shown_by[pixel, s])
+            if not tile.shining[pixel, s] or not lights:
                 er = eg = eb = _0
             out[emitted] += er
             out[emitted + 1] += eg

@@ -1,0 +1,54 @@
+"""Light linking: emitters that light some objects only, or that some objects only hide (Blender's receivers and blockers)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..jit import inlined
+from ..scene import FIRST_BLOCKER_SET, SHADOW, Geometry, Lamps, Scene
+from .tables import LINKED, Emitters
+
+
+@inlined
+def in_set(sets, number, objects, triangle):
+    """Whether the object of a triangle (-1: none) is in a set (-1: that of all) of `sets` (K, O); objects: (T,), of each triangle."""
+    return number < 0 or triangle < 0 or sets[number, objects[triangle]] != 0
+
+
+@inlined
+def lights(emitters, e, objects, triangle):
+    """Whether emitter e lights the object of a triangle (-1: of none, which all emitters light); objects: (T,), of each triangle."""
+    return not emitters.flags[e] & LINKED or in_set(emitters.receiver_sets, emitters.receivers[e], objects, triangle)
+
+
+@inlined
+def is_hidden_alike(emitters, e):
+    """Whether what hides emitter e from other rays hides it from shadow rays, too."""
+    return emitters.shadow_kinds[e] == SHADOW
+
+
+def shadow_kinds(blockers: np.ndarray) -> np.ndarray:
+    """(E,) int64: kinds of the shadow rays to emitters of these sets of blockers (-1: all that hides anything)."""
+    return np.where(blockers < 0, SHADOW, FIRST_BLOCKER_SET << np.maximum(blockers, 0)).astype(np.int64)
+
+
+def object_links(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Sets of receivers and of blockers (O,) int32 of the objects, for those that shine."""
+    g = scene.geometry
+    none = np.full(len(g.object_names), -1, np.int32)
+    return (none if g.object_receivers is None else g.object_receivers), (none if g.object_blockers is None else g.object_blockers)
+
+
+def receiver_sets(geometry: Geometry) -> np.ndarray:
+    """(K, O) uint8, which objects are in each set of receivers."""
+    return np.zeros((0, 0), np.uint8) if geometry.receiver_sets is None else geometry.receiver_sets
+
+
+def is_linked(lamps: Lamps) -> np.ndarray:
+    """(L,) bool: lamps that light some objects only, or that some objects only hide."""
+    return (lamps.receivers >= 0) | (lamps.blockers >= 0)
+
+
+def is_unlinked(emitters: Emitters) -> np.ndarray:
+    """(E,) bool: emitters that light all objects, and that all objects hide."""
+    return ((emitters.flags & LINKED) == 0) & (emitters.shadow_kinds == SHADOW)
