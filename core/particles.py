@@ -33,7 +33,7 @@ from .jit import inlined, kernel, leaf
 from .lamps.emission import FOR_EVER, emit
 from .lamps.links import lights
 from .lamps.shapes import AWAY_FROM_CENTRE, falloff
-from .lamps.tables import CASTS_SHADOW, FADING, NOMINAL, RADIUS, SEEN_BY_GLOSSY, SOFT
+from .lamps.tables import CASTS_SHADOW, FADING, GLOSSY_ONLY, NOMINAL, RADIUS, SEEN_BY_GLOSSY, SOFT
 from .rays.offsets import hit_point, offset_origin
 from .rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
 from .rays.trace import ALL, intersect_packet
@@ -387,6 +387,11 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     tr, tg, tb = translucency_average(surface)
                     if angled:  # glossy light leaves at the angle at which it came
                         evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
+                    if bounce == 0 and scene.emitters.flags[emitter[lane]] & GLOSSY_ONLY:
+                        dr = dg = db = tr = tg = tb = _0
+                        if not fr + fg + fb > _0:
+                            flying[lane] = False
+                            continue
                     through_sum = tr + tg + tb
                     total = dr + dg + db + fr + fg + fb + through_sum
                     albedo_sum += total / 3.0

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
-from ...core.scene import AREA, DIFFUSE, ELLIPSE, GLOSSY, POINT, RECTANGLE, SPOT, SUN, Lamps, Skipped
+from ...core.scene import AREA, ELLIPSE, POINT, RECTANGLE, SPOT, SUN, Lamps, Skipped
 from ..materials import LampProgram, LampUse
 from .geometry import instance_visibility, light_group
 from .links import BLOCKERS, RECEIVERS, Links
@@ -114,10 +114,6 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph, links: Links) -> CollectedLamp
             _SHAPERS[light.type](lamp, light, np.linalg.norm(matrix[:3, :3], axis=0), found)
             if lamp.emission.any():
                 found.lamps.append(lamp)
-                if not visibility & DIFFUSE and visibility & GLOSSY:
-                    found.warnings.append(
-                        f"lamp '{ob.name}' is invisible to diffuse rays: what glossy surfaces reflect of it is left out, too"
-                    )
                 if light.cycles.max_bounces < FEW_BOUNCES:
                     found.warnings.append(
                         f"lamp '{ob.name}' has Max Bounces {light.cycles.max_bounces}, which is ignored: its light bounces on as that of others"

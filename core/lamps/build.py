@@ -6,9 +6,26 @@ import numpy as np
 
 from ..sampling.discrete import cumulative
 from ..sampling.sequences import r2_points
-from ..scene import AREA, CAMERA, CONSTANT, DIFFUSE, ELLIPSE, EMISSIVE, GLOSSY, POINT, SPOT, SUN, TRANSMISSION, TRANSPARENT, Scene, bounds
+from ..scene import (
+    AREA,
+    CAMERA,
+    CONSTANT,
+    DIFFUSE,
+    ELLIPSE,
+    EMISSIVE,
+    GLOSSY,
+    GLOSSY_LOBE,
+    POINT,
+    SPOT,
+    SUN,
+    TRANSMISSION,
+    TRANSPARENT,
+    Scene,
+    bounds,
+)
 from ..surfaces.batch import evaluate_batch
 from ..surfaces.layout import EMISSION
+from .emission import shares
 from .groups import LightGroups
 from .links import object_links, receiver_sets, shadow_kinds
 from .sharp import small_lamps
@@ -26,6 +43,7 @@ from .tables import (
     ENERGY,
     EXPONENT,
     FADING,
+    GLOSSY_ONLY,
     HALF_SPREAD,
     LAMP,
     LINKED,
@@ -80,16 +98,17 @@ def _box(scene: Scene) -> np.ndarray:
     return np.stack([low - margin, high + margin]).astype(np.float32)
 
 
-def _lamps(scene: Scene, ray_kind: int, box: np.ndarray, threads: int = 0):
+def _lamps(scene: Scene, ray_kind: int, box: np.ndarray, threads: int = 0, shining: int = 0):
     """Index in the scene, kind, flags, radiance, flux, bounds and table of the lamps that shine, and the maps of those that are textured."""
     lamps = scene.lamps
     f = np.float32
+    kinds = ray_kind | shining
     emission = lamps.emission.astype(np.float64).reshape(-1, 3)
     finite = np.isfinite(emission).all(1)
     for i in np.flatnonzero(~finite):
         scene.warnings.append(f"Lamp '{lamps.names[i]}' has no finite emission and is left out: give it a size or spread above zero.")
     size_ok = (lamps.kind != AREA) | (lamps.size.reshape(-1, 2) > 0).all(1)
-    keep = np.flatnonzero(finite & (emission > 0).any(1) & ((lamps.visibility & ray_kind) != 0) & size_ok).astype(np.int32)
+    keep = np.flatnonzero(finite & (emission > 0).any(1) & ((lamps.visibility & kinds) != 0) & size_ok).astype(np.int32)
     kind, emission = lamps.kind[keep], emission[keep]
     axes, radius = lamps.axes.reshape(-1, 3, 3)[keep].astype(f), lamps.radius[keep].astype(np.float64)
     angle, blend = lamps.angle[keep].astype(np.float64), lamps.blend[keep].astype(np.float64)
@@ -99,6 +118,7 @@ def _lamps(scene: Scene, ray_kind: int, box: np.ndarray, threads: int = 0):
     flags = CASTS_SHADOW * (lamps.cast_shadow[keep] > 0) + SOFT * (sphere & (lamps.soft_falloff[keep] > 0)) + ELLIPTIC * ellipse
     for flag, kind_of_ray in ((SEEN_BY_GLOSSY, GLOSSY), (SEEN_BY_CAMERA, CAMERA), (SEEN_THROUGH_GLASS, TRANSMISSION)):
         flags = flags + flag * ((lamps.visibility[keep] & kind_of_ray) > 0)
+    flags = flags + GLOSSY_ONLY * ((lamps.visibility[keep] & ray_kind) == 0)
     exponent, smoothing = np.where(sun[:, None], 0, lamps.falloff[keep].astype(np.float64)).T
     flags = flags + FADING * ((exponent > 0) | (smoothing > 0))
     typical = _TYPICAL * np.linalg.norm(np.diff(box.astype(np.float64), axis=0))
@@ -171,12 +191,14 @@ def _textured_means(scene: Scene, triangle: np.ndarray, area: np.ndarray, thread
     return mean
 
 
-def _mesh(scene: Scene, ray_kind: int, threads: int):
+def _mesh(scene: Scene, ray_kind: int, shining: int, threads: int):
     """Index, material, flags, radiance, flux, bounds and table of the triangles that shine."""
     g, tables = scene.geometry, scene.materials.tables
     f = np.float32
     emissive = np.flatnonzero(tables.flags & EMISSIVE)
-    triangle = np.flatnonzero(np.isin(g.material, emissive) & ((g.object_visibility[g.object] & ray_kind) != 0)).astype(np.int32)
+    triangle = np.flatnonzero(np.isin(g.material, emissive) & ((g.object_visibility[g.object] & (ray_kind | shining)) != 0)).astype(
+        np.int32
+    )
     corners = g.vertices[g.triangles[triangle]].astype(np.float64)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = 0.5 * np.linalg.norm(cross, axis=1)
@@ -201,6 +223,7 @@ def _mesh(scene: Scene, ray_kind: int, threads: int):
     table = np.zeros((len(triangle), SHAPE), f)
     table[:, CORNERS : CORNERS + 9], table[:, NORMAL : NORMAL + 3], table[:, AREA_M2] = corners.reshape(-1, 9), normal, area
     flags = CASTS_SHADOW + TEXTURED * textured + SEEN_BY_GLOSSY * ((g.object_visibility[g.object[triangle]] & GLOSSY) > 0)
+    flags = flags + GLOSSY_ONLY * ((g.object_visibility[g.object[triangle]] & ray_kind) == 0)
     return triangle, material, flags, radiance, radiance * (2 * np.pi * area)[:, None], bounds, table
 
 
@@ -222,23 +245,25 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
 
     groups: the light groups to tell apart, None for none.
 
-    Lamps, world and objects that are not visible to such rays, and lamps without power, are left out; a lamp
-    whose emission is not finite is left out with a warning.
+    Lamps, world and objects that are not visible to such rays, and lamps without power, are left out, but for those that glossy surfaces
+    reflect; a lamp whose emission is not finite is left out with a warning.
     """
+    reflected = GLOSSY if (scene.materials.tables.flags & GLOSSY_LOBE).any() else 0
     f = np.float32
     groups = LightGroups.one(scene) if groups is None else groups
     box = _box(scene)
-    source, kind, flags, radiance, flux, bounds, lamps, maps = _lamps(scene, ray_kind, box, threads)
+    source, kind, flags, radiance, flux, bounds, lamps, maps = _lamps(scene, ray_kind, box, threads, reflected)
     spheres = np.flatnonzero((kind == POINT) | (kind == SPOT))
     lamps[spheres, WITHIN] = share_within(scene.geometry, lamps[spheres, POSITION : POSITION + 3], lamps[spheres, RADIUS], threads)
-    triangle, material, mesh_flags, mesh_radiance, mesh_flux, mesh_bounds, shapes = _mesh(scene, ray_kind, threads)
+    triangle, material, mesh_flags, mesh_radiance, mesh_flux, mesh_bounds, shapes = _mesh(scene, ray_kind, reflected, threads)
     world = no_world()
     object_receivers, object_blockers = object_links(scene)
     linked = scene.lamps.receivers[source], scene.lamps.blockers[source]
     parts = [(kind, flags, radiance, flux, bounds, groups.lamps[source], *linked)]
-    if scene.world.visibility & ray_kind and (scene.world.radiance > 0).any():
+    if scene.world.visibility & (ray_kind | reflected) and (scene.world.radiance > 0).any():
         world, mean, world_flux = world_table(scene.world.radiance, box)
         world_flags = CASTS_SHADOW + SEEN_BY_GLOSSY * bool(scene.world.visibility & GLOSSY)
+        world_flags += GLOSSY_ONLY * (not scene.world.visibility & ray_kind)
         parts.append(
             (np.array([WORLD]), np.array([world_flags]), mean[None], world_flux[None], np.zeros((1, COLUMNS)), [groups.world], [-1], [-1])
         )
@@ -276,7 +301,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
         world=world,
         tree=light_tree(bounds, members),
         groups=sampled.astype(np.int32),
-        emission_cdf=cumulative(flux.mean(1), np.float64) if len(kind) else np.zeros(1),
+        emission_cdf=cumulative(shares(flux, flags), np.float64) if len(kind) else np.zeros(1),
         box=box,
         focus=np.zeros((0, 2, 3), np.float32),
         aim=np.zeros(4, np.float32),

@@ -41,7 +41,7 @@ from .links import is_hidden_alike, lights
 from .lookup import can_be_met, emitter_density, emitter_of, share_of
 from .sample import sample_emitter
 from .sharp import sharp_emitters
-from .tables import AXIS_Z, CASTS_SHADOW, ONE_MINUS_COS, SEEN_BY_GLOSSY, SHARP, TRIANGLE, WORLD
+from .tables import AXIS_Z, CASTS_SHADOW, GLOSSY_ONLY, ONE_MINUS_COS, SEEN_BY_GLOSSY, SHARP, TRIANGLE, WORLD
 from .tree import CUT, choose, cut_estimate, cut_for, descend, importance, importance_around
 from .world import world_density, world_radiance
 from .world_guide import NEAR, aim, draw, expect, forget, look_around, new_world_guide, own_density, remember
@@ -142,6 +142,12 @@ def deal(estimate, samples, offset, count, weight):
             weight[g] = _1 / np.float32(n + 1)
 
 
+@inlined
+def _counts(scene, e, triangle, glossy):
+    """Whether emitter e shines on a point of a triangle (-1: of none); glossy: whether that reflects by a lobe."""
+    return lights(scene.emitters, e, scene.object, triangle) and (glossy or not scene.emitters.flags[e] & GLOSSY_ONLY)
+
+
 @leaf
 def expected_samples(scene, triangle, px, py, pz, nx, ny, nz, samples, estimate, count, expected):
     """How many of `samples` each group gets at p, of a triangle, with normal n, on average, into `expected` (G,).
@@ -221,11 +227,14 @@ def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered
 
 
 @leaf
-def direct_sample_at(scene, packet, rows, surface, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, entered, seed, path, dimension):
+def direct_sample_at(
+    scene, packet, rows, surface, triangle, glossy, x, y, z, error, gx, gy, gz, sx, sy, sz, entered, seed, path, dimension
+):
     """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine and the emitter of its light (-1: none), and its cosine with g; the mean is exact.
 
     For the tails of paths: random numbers are hashed from (seed, path, dimension, 0..3).
     scene: Transport.  packet, rows, surface: scratch.  triangle: that the point is of, -1 for none.
+    glossy: whether what shines on glossy surfaces alone counts.
     g, s: geometric and shading normal, on the lit side.  entered: solids of glass that the path has entered.
     """
     emitters = scene.emitters
@@ -234,7 +243,7 @@ def direct_sample_at(scene, packet, rows, surface, triangle, x, y, z, error, gx,
     u = uniform(seed, path, dimension, 0)
     for group in range(len(emitters.groups)):  # reservoir sampling with one recycled random number
         estimate = group_estimate(emitters, group, x, y, z, _0, sx, sy, sz)
-        if estimate > _0 and (emitters.groups[group] < 0 or lights(emitters, emitters.groups[group], scene.object, triangle)):
+        if estimate > _0 and (emitters.groups[group] < 0 or _counts(scene, emitters.groups[group], triangle, glossy)):
             total += estimate
             p = estimate / total
             if u < p:
@@ -251,7 +260,7 @@ def direct_sample_at(scene, packet, rows, surface, triangle, x, y, z, error, gx,
         e, probability = descend(
             tree.nodes, tree.two_sided, tree.children, tree.root, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 1)
         )
-        if e < 0 or not lights(emitters, e, scene.object, triangle):
+        if e < 0 or not _counts(scene, e, triangle, glossy):
             return _0, _0, _0, _0, -1, _0
     dx, dy, dz, t, r, g, b, u, v = sample_emitter(
         emitters, e, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 2), uniform(seed, path, dimension, 3), rows, surface
@@ -272,7 +281,7 @@ def direct_sample_at(scene, packet, rows, surface, triangle, x, y, z, error, gx,
 def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
     """The irradiance of `direct_sample_at`."""
     r, g, b, _, _, _ = direct_sample_at(
-        scene, packet, rows, surface, -1, x, y, z, error, gx, gy, gz, sx, sy, sz, OUTSIDE, seed, path, dimension
+        scene, packet, rows, surface, -1, False, x, y, z, error, gx, gy, gz, sx, sy, sz, OUTSIDE, seed, path, dimension
     )
     return r, g, b
 
@@ -360,7 +369,7 @@ def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, bloc
             )
         else:
             block.estimate[k, g] = group_estimate(emitters, g, px, py, pz, around, sx, sy, sz)
-            if not lights(emitters, emitters.groups[g], scene.object, points.triangle[i]):
+            if not _counts(scene, emitters.groups[g], points.triangle[i], len(points.wo) > 0 and _has_lobe(points, i)):
                 block.estimate[k, g] = _0
     deal(block.estimate[k], samples, to_unit(hash_combine(hash_combine(seed, i), first)), block.count[k], block.weight[k])
     for g in range(len(emitters.groups)):
@@ -381,6 +390,11 @@ def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, bloc
                 block.first[k] = max(1, n // _UNGUIDED)
             else:
                 block.first[k] = (n + 1) // 2
+
+
+@inlined
+def _has_lobe(points, i):
+    return max(points.f0[i, 0], points.f0[i, 1], points.f0[i, 2], points.f90[i, 0], points.f90[i, 1], points.f90[i, 2]) > _0
 
 
 @inlined
@@ -451,6 +465,10 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
         glossy[0], glossy[1], glossy[2] = shine * fr * r, shine * fg * g, shine * fb * b
     else:
         glossy[0] = glossy[1] = glossy[2] = _0
+    if emitters.flags[e] & GLOSSY_ONLY:
+        light[0] = light[1] = light[2] = _0
+        if not max(glossy[0], glossy[1], glossy[2]) > _0:
+            return n
     ray[3], ray[4], ray[5], ray[6] = dx, dy, dz, -_1
     if emitters.flags[e] & CASTS_SHADOW:
         if across < LOW and points.triangle[i] >= 0:

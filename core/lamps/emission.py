@@ -26,6 +26,7 @@ from .tables import (
     COS_INNER,
     COS_OUTER,
     ELLIPTIC,
+    GLOSSY_ONLY,
     HALF_SPREAD,
     NORMAL,
     ONE_MINUS_COS,
@@ -47,6 +48,7 @@ OUTLIERS = 0.02, 0.1  # shares of the places beyond either end of a focus along 
 MARGIN = 0.05  # of a focus's size, on all sides
 FAR = 0.05  # of its flux, at least, counts what an emitter sends elsewhere
 WORTHWHILE = 0.5  # of the whole box's surface: larger focuses gain nothing
+GLOSSY_SHARE = 0.25  # by which the flux of what shines on glossy surfaces alone counts where particles are dealt
 APART = 2.0  # radii of the aim from its centre, at least, of an emitter whose particles are drawn to it
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -407,6 +409,11 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
     return e, x, y, z, dx, dy, dz, r * w, g * w, b * w, near, far, before
 
 
+def shares(flux: np.ndarray, flags: np.ndarray) -> np.ndarray:
+    """(E,) shares of the particles of emitters with the flux (E, 3) W, up to a factor."""
+    return flux.mean(axis=1) * np.where(flags & GLOSSY_ONLY, GLOSSY_SHARE, 1)
+
+
 def focused(emitters: Emitters, places: np.ndarray) -> Emitters:
     """The same emitters, which send most of their particles where the places (N, 3) are, with exact weights: sun and world, and all that are far off.
 
@@ -427,9 +434,9 @@ def focused(emitters: Emitters, places: np.ndarray) -> Emitters:
         return emitters
     # Of what such an emitter sends, about this share comes near the places.
     near = np.where(np.isin(emitters.kind, (SUN, WORLD)) & bool(kept), max(_surface(boxes[0]) / _surface(emitters.box), FAR), seen)
-    sent = emitters.flux.mean(axis=1) * near
+    sent = shares(emitters.flux, emitters.flags) * near
     if (seen < 1).any() and sent.sum() > 0:
-        flux = emitters.flux.mean(axis=1)
+        flux = shares(emitters.flux, emitters.flags)
         sent = (1 - FAR) * sent / sent.sum() + FAR * flux / flux.sum()
     return emitters._replace(
         focus=np.array(kept, np.float32).reshape(-1, 2, 3),

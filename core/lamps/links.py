@@ -6,7 +6,7 @@ import numpy as np
 
 from ..jit import inlined
 from ..scene import FIRST_BLOCKER_SET, SHADOW, Geometry, Lamps, Scene
-from .tables import LINKED, Emitters
+from .tables import GLOSSY_ONLY, LINKED, Emitters
 
 
 @inlined
@@ -50,5 +50,5 @@ def is_linked(lamps: Lamps) -> np.ndarray:
 
 
 def is_unlinked(emitters: Emitters) -> np.ndarray:
-    """(E,) bool: emitters that light all objects, and that all objects hide."""
-    return ((emitters.flags & LINKED) == 0) & (emitters.shadow_kinds == SHADOW)
+    """(E,) bool: emitters that light all objects, diffuse ones, too, and that all objects hide."""
+    return ((emitters.flags & (LINKED | GLOSSY_ONLY)) == 0) & (emitters.shadow_kinds == SHADOW)

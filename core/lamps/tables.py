@@ -18,9 +18,9 @@ WORLD, TRIANGLE = 4, 5
 # Bits of `Emitters.flags`: casts shadows; a disk that faces the point it lights instead of a sphere; an ellipse
 # instead of a rectangle; a triangle or a lamp whose radiance varies; visible to glossy rays, to the camera (lamps only), and to it
 # through glass (lamps only); so small, and one of so few, that it has `highlights` of its own; a
-# lamp with a falloff of its own; lights some objects only.
+# lamp with a falloff of its own; lights some objects only; shines on what is glossy alone, for diffuse rays do not see it.
 CASTS_SHADOW, SOFT, ELLIPTIC, TEXTURED, SEEN_BY_GLOSSY, SEEN_BY_CAMERA, SEEN_THROUGH_GLASS, SHARP, FADING = 1, 2, 4, 8, 16, 32, 64, 128, 256
-LINKED = 512
+LINKED, GLOSSY_ONLY = 512, 1024
 
 # Columns of `Emitters.lamps`: xyz of position (m) and of the unit axes, shining along -z; radius (m); cosines where a
 # spot's smooth edge begins and where it is full; 1 - cos of a sun's half angle; full widths (m), half spread (rad) and

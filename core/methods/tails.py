@@ -16,7 +16,7 @@ import numpy as np
 
 from ..jit import kernel, leaf
 from ..lamps.direct import direct_sample_at
-from ..lamps.tables import SEEN_BY_GLOSSY
+from ..lamps.tables import GLOSSY_ONLY, SEEN_BY_GLOSSY
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
 from ..references import Reference
@@ -66,19 +66,22 @@ def scatter_light(
     f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
     f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]
     share = _1 / np.float32(lamp_rays)
+    shiny = max(f0r, f0g, f0b, f90r, f90g, f90b) > _0
     # As many again on the other side, where light comes through; called in one place, which is as fast as without.
     side = _1
     for k in range(2 * lamp_rays if tr + tg + tb > _0 else lamp_rays):
         if k == lamp_rays:
             side = -_1
         r, g, b, cosine, e, across = direct_sample_at(
-            scene, packet, rows, surface, on, x, y, z, error, side * gx, side * gy, side * gz, side * sx, side * sy, side * sz, entered, seed, path, at + 20 + k
+            scene, packet, rows, surface, on, shiny, x, y, z, error, side * gx, side * gy, side * gz, side * sx, side * sy, side * sz, entered, seed, path, at + 20 + k
         )  # fmt: skip
         if e < 0:
             continue
         c = 3 * scene.emitters.light_group[e]
         r, g, b = kr * share * r, kg * share * g, kb * share * b
         lit = shadowing(tilt, across)
+        if scene.emitters.flags[e] & GLOSSY_ONLY:
+            lit = _0
         if side < _0:
             r, g, b = lit * r * tr, lit * g * tg, lit * b * tb
         else:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..jit import kernel
 from ..lamps import Emitters
+from ..lamps.emission import shares
 from ..lamps.tables import CASTS_SHADOW, CORNERS, POSITION, RADIUS, SIZE, WORLD
 from ..particles import Vpls
 from ..sampling.discrete import cumulative
@@ -72,4 +73,4 @@ def without_emitters(emitters: Emitters, kept: np.ndarray) -> Emitters:
     """Emitters of which only those `kept` (E,) emit particles; direct light leaves out the others that it samples one by one."""
     flux = emitters.flux * kept[:, None]
     groups = emitters.groups[(emitters.groups < 0) | kept[emitters.groups]]
-    return emitters._replace(flux=flux, emission_cdf=cumulative(flux.mean(axis=1), np.float64), groups=groups)
+    return emitters._replace(flux=flux, emission_cdf=cumulative(shares(flux, emitters.flags), np.float64), groups=groups)
