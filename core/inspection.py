@@ -16,12 +16,20 @@ MOST_ALBEDO = 1.001  # that no rounding of a colour explains
 NO_GEOMETRY = "no triangle is left to be hit: only the world will be seen; check what is hidden from the render"
 
 
+def _worn_by_objects(scene: Scene) -> np.ndarray:
+    """(M,) bool: which of the compiled materials are not the programs of lamps."""
+    own = np.ones(len(scene.materials.tables.flags), bool)
+    own[scene.lamps.program[scene.lamps.program >= 0]] = False
+    return own
+
+
 def contents(scene: Scene, emitters: Emitters) -> dict:
     """Counts and sizes of what `scene` holds, as values of JSON."""
     geometry, tables, lamps, camera = scene.geometry, scene.materials.tables, scene.lamps, scene.camera
     arrays = (geometry.vertices, geometry.triangles, geometry.corner_normals, geometry.attributes, geometry.material, geometry.object)
     height, width = scene.world.radiance.shape[:2]
     low, high = emitters.box
+    flags = tables.flags[_worn_by_objects(scene)]
     return {
         "frame": scene.frame,
         "view_layer": scene.view_layer,
@@ -31,10 +39,10 @@ def contents(scene: Scene, emitters: Emitters) -> dict:
         "geometry_mib": sum(array.nbytes for array in arrays) / 2**20,
         "extent_m": [float(side) for side in high - low],
         "materials": {
-            "count": len(scene.materials.names),
-            "textured": int(((tables.flags & CONSTANT) == 0).sum()),
-            "emissive": int(((tables.flags & EMISSIVE) != 0).sum()),
-            "transparent": int(((tables.flags & TRANSPARENT) != 0).sum()),
+            "count": len(flags),
+            "textured": int(((flags & CONSTANT) == 0).sum()),
+            "emissive": int(((flags & EMISSIVE) != 0).sum()),
+            "transparent": int(((flags & TRANSPARENT) != 0).sum()),
         },
         "textures": {"count": len(tables.texture_header), "mib": (tables.texels_u8.nbytes + tables.texels_f32.nbytes) / 2**20},
         "lamps": {kind: int((lamps.kind == code).sum()) for code, kind in LAMP_KINDS.items()},
@@ -74,7 +82,8 @@ def foresee(scene: Scene, emitters: Emitters) -> tuple[list[Skipped], list[str]]
     shining = set(emitters.source.tolist())
     skipped = [Skipped("lamps", f"lamp '{name}' gives no light") for i, name in enumerate(scene.lamps.names) if i not in shining]
     worn = np.bincount(geometry.material, minlength=len(tables.flags)) > 0
-    skipped += [Skipped("materials", f"material '{name}' is on no triangle") for name, used in zip(scene.materials.names, worn) if not used]
+    unused = np.flatnonzero(~worn & _worn_by_objects(scene))
+    skipped += [Skipped("materials", f"material '{scene.materials.names[i]}' is on no triangle") for i in unused]
     unseen = np.flatnonzero(geometry.object_visibility & ALL_RAYS == 0)
     skipped += [Skipped("objects", f"object '{geometry.object_names[i]}' is hidden from every ray") for i in unseen]
     warnings = []

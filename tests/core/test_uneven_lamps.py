@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lumigate.core import scene as sc
+from lumigate.core.inspection import contents, foresee
 from lumigate.core.jit import kernel
 from lumigate.core.lamps import build_emitters
 from lumigate.core.lamps.emission import focused
@@ -111,6 +112,15 @@ def test_an_even_program_changes_nothing():
     emitters = build_emitters(scene)
     assert emitters.lamps[0, PER_MEAN] == pytest.approx(1 / 3)
     np.testing.assert_allclose(emitters.flux, 3 * build_emitters(scene_of(row)).flux, rtol=1e-6)
+
+
+def test_programs_of_lamps_are_no_materials():
+    scene = uneven(lamp(sc.POINT, 1))
+    emitters = build_emitters(scene)
+    assert contents(scene, emitters)["materials"] == {"count": 1, "textured": 0, "emissive": 0, "transparent": 0}
+    skipped, warnings = foresee(scene, emitters)
+    assert not skipped
+    assert not warnings
 
 
 @kernel
