@@ -13,11 +13,12 @@ import numpy as np
 from ..jit import inlined, leaf
 from ..scene import CAMERA, GLOSSY, SHADOW, TRANSMISSION
 from ..scene import DIFFUSE as DIFFUSE_RAY
-from . import ggx
+from . import frosted, ggx
 from .layout import (
     DIFFUSE,
     DIFFUSE_ROUGHNESS,
     EMISSION,
+    FROST,
     GLOSSY_F0,
     GLOSSY_F90,
     LAYER_F0,
@@ -170,21 +171,24 @@ def glossy(surface, r, g, b, roughness, multiple, wr, wg, wb):
 
 
 @inlined
-def _through(surface, r, g, b, wr, wg, wb):
-    """Lets (r, g, b) straight through, as glass does."""
+def _through(surface, r, g, b, roughness, ior, wr, wg, wb, cosine):
+    """Lets (r, g, b) straight through, as glass does, or about the straight way where it is rough."""
     add(surface, TRANSPARENCY, wr, wg, wb, r, g, b)
     add(surface, REFRACTION, wr, wg, wb, r, g, b)
+    if roughness > F(0):
+        passed = wr * max(r, F(0)) + wg * max(g, F(0)) + wb * max(b, F(0))
+        surface[FROST] += passed * frosted.lobe_alpha(roughness, ior, view_cosine(cosine))
 
 
 @inlined
-def refraction(surface, r, g, b, ior, wr, wg, wb, cosine):
-    """Refraction BSDF: lets (r, g, b) straight through, and keeps all where a view from within is reflected totally.
+def refraction(surface, r, g, b, roughness, ior, wr, wg, wb, cosine):
+    """Refraction BSDF: lets (r, g, b) through, about the straight way, and keeps all where a view from within is reflected totally.
 
     cosine: see `program.evaluate`.
     """
     if cosine <= -WITHIN and dielectric_fresnel(cosine, ior) >= F(1):
         return
-    _through(surface, r, g, b, wr, wg, wb)
+    _through(surface, r, g, b, min(max(roughness, F(0)), F(1)), ior, wr, wg, wb, cosine)
 
 
 @leaf
@@ -216,9 +220,20 @@ def _dielectric_albedo(f0, roughness, cosine):
     return ggx.layer_albedo(f0, z, roughness, F(1), view_cosine(cosine))
 
 
+@leaf
+def _kept_by_back(f0, ior, roughness, cosine, smooth):
+    """What the rough back of a pane keeps (0..1) of light that goes straight on to `cosine` (0..1) outside, beside what a smooth one keeps.
+
+    Of what it reflects totally, both sides of the pane let as much through in the end: m / (1 + m) leaves by the front.
+    """
+    within = np.sqrt(F(1) - (F(1) - cosine * cosine) / (ior * ior))
+    more = ggx.more_within(np.sqrt(np.sqrt(f0)), within, roughness)
+    return min(smooth + more / (F(1) + more), F(1))
+
+
 @inlined
 def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine):
-    """Glass: reflects its Fresnel term times (tr, tg, tb), lets the rest times (r, g, b) straight through.
+    """Glass: reflects its Fresnel term times (tr, tg, tb), lets the rest times (r, g, b) through, about the straight way.
 
     cosine: see `program.evaluate`.  Its back reflects what its front does, for a view that entered by the front was not bent there; one
     that began within may be reflected totally, unless the glass is a thin wall.
@@ -231,8 +246,11 @@ def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine
         f0 = f90 = _reflectance_within(ior, roughness, view_cosine(cosine))
         through -= f0
     elif ior != F(1):
-        through -= _dielectric_albedo(f0, roughness, cosine)
-    _through(surface, r, g, b, wr * through, wg * through, wb * through)
+        kept = _dielectric_albedo(f0, roughness, cosine)
+        if cosine < F(0) and roughness > F(0) and ior > F(1) and not thin:
+            kept = f0 = f90 = _kept_by_back(f0, ior, roughness, view_cosine(cosine), kept)
+        through -= kept
+    _through(surface, r, g, b, roughness, ior, wr * through, wg * through, wb * through, cosine)
     tr, tg, tb = max(tr, F(0)), max(tg, F(0)), max(tb, F(0))
     if ior != F(1):
         _add_glossy(surface, wr, wg, wb, f0 * tr, f0 * tg, f0 * tb, f90 * tr, f90 * tg, f90 * tb, roughness)
@@ -339,6 +357,8 @@ def finish(surface):
         surface[LAYER_F0] = surface[LAYER_Z] = surface[LAYER_ROUGHNESS] = surface[LAYER_MULTIPLE] = F(0)
     if surface[LAYERED_TRANSLUCENCY] > F(0):
         surface[LAYERED_TRANSLUCENCY] /= surface[TRANSLUCENCY] + surface[TRANSLUCENCY + 1] + surface[TRANSLUCENCY + 2]
+    if surface[FROST] > F(0):
+        surface[FROST] /= surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
     glossy_weight = F(0)
     for k in range(6):
         glossy_weight += surface[GLOSSY_F0 + k]

@@ -34,7 +34,8 @@ TILT = 29  # |cosine| of NORMAL and the surface's own, by which bumps shadow dif
 TRANSLUCENCY = 30  # rgb: diffuse transmittance, the same from both sides, before the dielectric lobe takes its share
 LAYERED_TRANSLUCENCY = 33  # the part (0..1) of TRANSLUCENCY under a dielectric lobe
 DIFFUSE_ROUGHNESS = 34  # of the diffuse reflection (see `rough_diffuse`), weighted by its albedo
-SURFACE = 35  # length
+FROST = 35  # alpha of the lobe, about the straight way, by which REFRACTION leaves; 0 for clear glass (see `frosted`)
+SURFACE = 36  # length
 
 # Lobes at least as rough spread light about as a diffuse one does.
 WIDE = F(0.5)

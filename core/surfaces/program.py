@@ -50,7 +50,7 @@ MEAN_VIEW = 2.0
     DIFFUSE_CLOSURE,  # colour a, roughness b.x
     EMISSION_CLOSURE,  # radiance a
     TRANSPARENT_CLOSURE,  # colour a
-    REFRACTION_CLOSURE,  # colour a, ior b.x
+    REFRACTION_CLOSURE,  # colour a, (roughness, ior) b
     GLOSSY_CLOSURE,  # colour a, roughness b.x, p: multiple scattering
     METAL_CLOSURE,  # colour a, roughness b.x, tint at 82 degrees c, p: multiple scattering
     GLASS_CLOSURE,  # colour a, (roughness, ior) b, tint of the reflection c, p: a thin wall
@@ -206,7 +206,7 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
         elif op == TRANSPARENT_CLOSURE:
             closures.add(surface, TRANSPARENCY, dx, dy, dz, ax, ay, az)
         elif op == REFRACTION_CLOSURE:
-            closures.refraction(surface, ax, ay, az, bx, dx, dy, dz, cosine)
+            closures.refraction(surface, ax, ay, az, bx, by, dx, dy, dz, cosine)
         elif op == GLOSSY_CLOSURE:
             closures.glossy(surface, ax, ay, az, bx, p, dx, dy, dz)
         elif op == METAL_CLOSURE:

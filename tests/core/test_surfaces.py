@@ -247,7 +247,7 @@ def test_reflected_views_have_the_albedo_of_the_cameras_view():
 def glass(roughness=0.0, ior=1.5, thin=0, op=ops.GLASS_CLOSURE):
     """Tables of white glass."""
     if op == ops.REFRACTION_CLOSURE:
-        return tables_of([(op, 0, R + 1, R + 2, R, R + 1, 0)], [(0,) * 4, (1,) * 4, (ior,) * 4])
+        return tables_of([(op, 0, R + 1, R + 2, R, R + 1, 0)], [(0,) * 4, (1,) * 4, (roughness, ior, 0, 1)])
     return tables_of([(op, 0, R + 1, R + 2, R + 1, R + 1, thin)], [(0,) * 4, (1,) * 4, (roughness, ior, 0, 1)])
 
 

@@ -29,8 +29,7 @@ def _normal(node: NodeInput, key: str = "Normal") -> None:
 
 
 def _warn_straight(node: NodeInput, what: str) -> None:
-    blur = "" if _is(node["Roughness"], 0) else " or blur"
-    node.warn(f"{what} is treated as straight through, without refraction{blur}")
+    node.warn(f"{what} is treated as straight through, without refraction")
 
 
 def _warn_anisotropy(node: NodeInput, key: str) -> None:
@@ -165,7 +164,7 @@ def metallic(node: NodeInput, weight: Value) -> None:
 
 @closure("ShaderNodeBsdfGlass")
 def glass(node: NodeInput, weight: Value) -> None:
-    """Glass BSDF: straight through with its colour."""
+    """Glass BSDF: through with its colour, blurred but not bent."""
     _warn_straight(node, "glass")
     color = node["Color"]
     node.emit(ops.GLASS_CLOSURE, color, node.pack(node["Roughness"], node["IOR"]), color, weight)
@@ -173,9 +172,9 @@ def glass(node: NodeInput, weight: Value) -> None:
 
 @closure("ShaderNodeBsdfRefraction")
 def refraction(node: NodeInput, weight: Value) -> None:
-    """Refraction BSDF: straight through with its colour."""
+    """Refraction BSDF: through with its colour, blurred but not bent."""
     _warn_straight(node, "refraction")
-    node.emit(ops.REFRACTION_CLOSURE, node["Color"], node["IOR"], ZERO, weight)
+    node.emit(ops.REFRACTION_CLOSURE, node["Color"], node.pack(node["Roughness"], node["IOR"]), ZERO, weight)
 
 
 @closure("ShaderNodeBsdfTransparent")
