@@ -45,6 +45,8 @@ from .surfaces.layout import (
     GLOSSY_F0,
     GLOSSY_F90,
     ROUGHNESS,
+    SHEEN,
+    SHEEN_ROUGHNESS,
     SURFACE,
     TILT,
     TRANSPARENCY,
@@ -57,6 +59,7 @@ from .surfaces.layout import (
 from .surfaces.lobes import ALPHA, LOBE, NORMAL, VIEWER, sample_lobe, set_lobe
 from .surfaces.normals import mapped_normal, shading_normal, surface_side
 from .surfaces.program import new_registers
+from .surfaces.sheen import lit_from
 from .surfaces.visibility import OUTSIDE, evaluate_along, evaluate_from, passed_glass
 from .threads import Progress, run_chunks
 from .transport import Transport
@@ -379,6 +382,9 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     if angled:
                         evaluate_from(scene, triangle, u, v, behind, uniform(seed, i, bounce, 4), rows, surface)
                     dr, dg, db = diffuse_albedo_average(surface)
+                    if surface[SHEEN_ROUGHNESS] != _0:
+                        more = lit_from(surface[SHEEN_ROUGHNESS], abs(cos_s)) - _1
+                        dr, dg, db = dr + more * surface[SHEEN], dg + more * surface[SHEEN + 1], db + more * surface[SHEEN + 2]
                     if angled and flags & TRANSLUCENT:
                         evaluate_from(scene, triangle, u, v, not behind, uniform(seed, i, bounce, 5), rows, surface)
                     tr, tg, tb = translucency_average(surface)

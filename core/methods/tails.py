@@ -25,10 +25,23 @@ from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE, GLOSSY, TRANSMISSION
 from ..surfaces import layout
 from ..surfaces.bumps import shadowing
-from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TILT, WIDE, diffuse_albedo, glossy_rise, translucency
+from ..surfaces.layout import (
+    GLOSSY_F0,
+    GLOSSY_F90,
+    ROUGHNESS,
+    SHEEN,
+    SHEEN_ROUGHNESS,
+    SURFACE,
+    TILT,
+    WIDE,
+    diffuse_albedo,
+    glossy_rise,
+    translucency,
+)
 from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, lobe_cosine, sample_lobe, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
+from ..surfaces.sheen import lit_from
 from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
 from ..threads import run_chunks
 from ..transport import Transport
@@ -63,6 +76,8 @@ def scatter_light(
     dr, dg, db = diffuse_albedo(surface, cosine)
     tr, tg, tb = translucency(surface, cosine)
     roughness, tilt = surface[ROUGHNESS], surface[TILT]
+    sheened = surface[SHEEN_ROUGHNESS]
+    hr, hg, hb = surface[SHEEN], surface[SHEEN + 1], surface[SHEEN + 2]
     f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
     f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]
     share = _1 / np.float32(lamp_rays)
@@ -86,7 +101,11 @@ def scatter_light(
             seen = _1 if scene.emitters.flags[e] & SEEN_BY_GLOSSY else _0
             fr, fg, fb = seen * r, seen * g, seen * b
             fr, fg, fb = fr * (f0r + rise * (f90r - f0r)), fg * (f0g + rise * (f90g - f0g)), fb * (f0b + rise * (f90b - f0b))
-            r, g, b = lit * r * dr, lit * g * dg, lit * b * db
+            if sheened != _0:
+                more = lit_from(sheened, cosine) - _1
+                r, g, b = lit * r * (dr + more * hr), lit * g * (dg + more * hg), lit * b * (db + more * hb)
+            else:
+                r, g, b = lit * r * dr, lit * g * dg, lit * b * db
             if roughness < WIDE:
                 shine[i, c] += sheen * fr
                 shine[i, c + 1] += sheen * fg

@@ -14,6 +14,7 @@ from ..jit import inlined, leaf
 from ..scene import CAMERA, GLOSSY, SHADOW, TRANSMISSION
 from ..scene import DIFFUSE as DIFFUSE_RAY
 from . import frosted, ggx
+from . import sheen as sheens
 from .layout import (
     DIFFUSE,
     DIFFUSE_ROUGHNESS,
@@ -29,6 +30,8 @@ from .layout import (
     LAYERED_TRANSLUCENCY,
     REFRACTION,
     ROUGHNESS,
+    SHEEN,
+    SHEEN_ROUGHNESS,
     TRANSLUCENCY,
     TRANSPARENCY,
 )
@@ -257,27 +260,21 @@ def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine
 
 
 @inlined
-def sheen(surface, strength, roughness, tr, tg, tb, wr, wg, wb, cosine):
-    """Principled BSDF's sheen: adds its lobe, which counts as diffuse, and returns the weight of what lies below."""
-    albedo = max(strength, F(0)) * sheen_albedo(view_cosine(cosine), min(max(roughness, F(1e-3)), F(1)))
+def sheen(surface, strength, roughness, velvet, tr, tg, tb, wr, wg, wb, cosine):
+    """Principled BSDF's sheen: adds its lobe, which counts as diffuse, and returns the weight of what lies below; or an Ashikhmin velvet."""
+    roughness = min(max(roughness, F(1e-3)), F(1))
+    roughness = -roughness if velvet else roughness
+    if F(1) < abs(cosine) < REFLECTED:
+        albedo = strength * sheens.albedo_average(roughness)
+    else:
+        albedo = strength * sheens.albedo(view_cosine(cosine), roughness)
+    albedo = max(albedo, F(0))
     tr, tg, tb = albedo * max(tr, F(0)), albedo * max(tg, F(0)), albedo * max(tb, F(0))
     add(surface, DIFFUSE, wr, wg, wb, tr, tg, tb)
+    add(surface, SHEEN, wr, wg, wb, tr, tg, tb)
+    surface[SHEEN_ROUGHNESS] = roughness
     below = max(F(1) - max(tr, max(tg, tb)), F(0))
     return wr * below, wg * below, wb * below
-
-
-@inlined
-def sheen_albedo(cosine, roughness):
-    """Albedo of the microfibre sheen lobe (Zeltner, Burley and Chiang 2022).
-
-    MaterialX's Gaussian fit to their table; Cycles reads the table, from which the fit differs by at most 0.02.
-    """
-    x, y = cosine, max(roughness, F(0.01))
-    s = y * (F(0.0206607) + F(1.58491) * y) / (F(0.0379424) + y * (F(1.32227) + y))
-    m = y * (F(-0.193854) + y * (F(-1.14885) + y * (F(1.7932) - F(0.95943) * y * y))) / (F(0.046391) + y)
-    o = y * (F(0.000654023) + (F(-0.0207818) + F(0.119681) * y) * y) / (F(1.26264) + y * (F(-1.92021) + y))
-    t = (x - m) / s
-    return min(max(np.exp(F(-0.5) * t * t) / (s * F(2.5066283)) + o, F(0)), F(1))
 
 
 @inlined

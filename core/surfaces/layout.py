@@ -35,7 +35,9 @@ TRANSLUCENCY = 30  # rgb: diffuse transmittance, the same from both sides, befor
 LAYERED_TRANSLUCENCY = 33  # the part (0..1) of TRANSLUCENCY under a dielectric lobe
 DIFFUSE_ROUGHNESS = 34  # of the diffuse reflection (see `rough_diffuse`), weighted by its albedo
 FROST = 35  # alpha of the lobe, about the straight way, by which REFRACTION leaves; 0 for clear glass (see `frosted`)
-SURFACE = 36  # length
+SHEEN = 36  # rgb: the part of DIFFUSE that is sheen (see `sheen`)
+SHEEN_ROUGHNESS = 39  # of the last sheen, below 0 for a velvet; 0 for none
+SURFACE = 40  # length
 
 # Lobes at least as rough spread light about as a diffuse one does.
 WIDE = F(0.5)

@@ -32,6 +32,7 @@ class ShadingPoints(NamedTuple):
         rectangle of slopes about it that the pixel's normals fill, each as long as it is wide; else 0.
     tilt: (N,) float32, `layout.TILT` where bumps shadow the light, whose mean is in `albedo`; else 0.
     rough: (N,) float32, `layout.DIFFUSE_ROUGHNESS`.
+    sheen: (N, 4) float32, the part (0..1, rgb) of the albedo that is a lobe of `surfaces.sheen`, and its roughness; 0 for none.
     shown: (N,) uint8, 1 where the surfaces that the lobe shows have points of their own, so that it has to find nothing but what shines.
     entered: (N,) uint8, of the back of glass: solids of glass that the view is in by their fronts (see `surfaces.visibility`), and what the lobe shows too.
     """
@@ -52,17 +53,18 @@ class ShadingPoints(NamedTuple):
     turned: np.ndarray
     tilt: np.ndarray
     rough: np.ndarray
+    sheen: np.ndarray
     shown: np.ndarray
     entered: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> ShadingPoints:
-        """Room for n points, not set but for `behind_glass`, `spread`, `turned`, `tilt`, `rough`, `shown` and `entered`, which are 0."""
+        """Room for n points, not set but for `behind_glass`, `spread`, `turned`, `tilt`, `rough`, `sheen`, `shown` and `entered`, which are 0."""
         f, e = np.float32, np.empty
         return ShadingPoints(
             e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32),
             e((n, 3), f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f), np.zeros(n, np.uint8), np.zeros((n, SPREAD, 3), f), np.zeros((n, 3, 3), f),
-            np.zeros(n, f), np.zeros(n, f), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
+            np.zeros(n, f), np.zeros(n, f), np.zeros((n, 4), f), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
         )  # fmt: skip
 
     def take(self, index) -> ShadingPoints:

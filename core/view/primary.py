@@ -57,6 +57,7 @@ from .tile import (
     POSITION,
     ROUGH,
     SHADED,
+    SHEENED,
     SURFACES,
     TILE,
     TILTED,
@@ -309,6 +310,9 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
         points.behind_glass[i] = tile.glass[lane, best] > 0
         points.tilt[i] = sample[best, TILTED] if turn == REFLECTING else np.float32(0.0)
         points.rough[i] = sample[best, ROUGH] if turn == REFLECTING else np.float32(0.0)
+        if turn == REFLECTING and sample[best, SHEENED + 3] != 0:
+            for c in range(4):
+                points.sheen[i, c] = sample[best, SHEENED + c]
         points.shown[i] = tile.shown[lane, best] > 0
         points.entered[i] = min(tile.entered[lane, best], 255)
         if turn == FROSTED_POINTS:

@@ -39,6 +39,8 @@ from ..surfaces.layout import (
     NORMAL,
     REFRACTION,
     ROUGHNESS,
+    SHEEN,
+    SHEEN_ROUGHNESS,
     TILT,
     TRANSPARENCY,
     diffuse_albedo,
@@ -79,10 +81,11 @@ SHOWN, STRAIGHT, REFRACTED, REFLECTED = 1, 2, 4, 8
 LOOKING = SHOWN | 16  # shows a pane of frosted glass, whose lobe shows all that lies behind, and looks for more of it
 SURFACES, ALL_LIGHT = 1, 2  # what rows of their own show of a mirror's lobe
 # Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
-PLACE, ERROR, FACING, SHADED, TILTED, ROUGH, BEYOND, SAMPLE = 0, 3, 4, 7, 10, 11, 12, 13
+PLACE, ERROR, FACING, SHADED, TILTED, ROUGH, BEYOND, SHEENED, SAMPLE = 0, 3, 4, 7, 10, 11, 12, 13, 17
 MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY, G_THROUGH, G_FROST, G_COLUMNS = 0, 1, 4, 7, 10, 11, 14, 17, 18
 _GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
 FINEST = np.float32(1e-3)  # shares of the samples below which what is left of their choice has too few bits
+FAINT = np.float32(1e-12)  # albedo of which no share can be told
 BELOW_ONE = np.float32(1 - 2**-24)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -103,7 +106,7 @@ class Tile(NamedTuple):
     frost: (16, R) float32, width of the lobe in which a row of frosted glass shows what lies behind it, 0 for none; through: (16, R) uint8, as shown, of that lobe.
     lamps: (16, GLASS, G, 3) float32, light of the lamps in view, summed over the samples, by the surfaces of glass before it.
     out: (16, C) float32, sums of the pixels' layers.  nearest: (16,) int32, the row nearest to the camera, -1 for none.
-    sample: (16, R, SAMPLE) float32, position, its error, geometric and shading normal, tilt and diffuse roughness of each row, and solids of glass that a view is in beyond it.  group_of: (16, R) int32, which of the
+    sample: (16, R, SAMPLE) float32, position, its error, geometric and shading normal, tilt and diffuse roughness of each row, solids of glass that a view is in beyond it, and `ShadingPoints.sheen`.  group_of: (16, R) int32, which of the
     pixel's surfaces it shows, -1 for none.  groups: (16,) int32, how many there are.  first: (16, R) int32, the first row of each.
     group: (16, R, G_COLUMNS) float32, rows of each, sums of albedo, f0, f90, roughness, translucency, of what frosted glass lets through, and of that by its lobe's width.
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
@@ -586,6 +589,11 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             if not (behind and materials.flags[material[triangle]] & REFRACTIVE):
                 tile.entered[pixel, s] = 0
             ar, ag, ab = diffuse_color(surface, cosine)
+            sample[s, SHEENED + 3] = surface[SHEEN_ROUGHNESS]
+            if surface[SHEEN_ROUGHNESS] != _0:
+                sample[s, SHEENED] = surface[SHEEN] / max(ar, FAINT)
+                sample[s, SHEENED + 1] = surface[SHEEN + 1] / max(ag, FAINT)
+                sample[s, SHEENED + 2] = surface[SHEEN + 2] / max(ab, FAINT)
             ar, ag, ab = ar * wr, ag * wg, ab * wb
             tr = tg = tb = _0
             if materials.flags[material[triangle]] & TRANSLUCENT:

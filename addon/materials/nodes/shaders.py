@@ -8,8 +8,6 @@ from ..registry import closure
 from ..requests import WORLD_NORMAL
 from ..tree import NodeInput
 
-_FAINT = 0.1  # weight of a sheen, up to which the shape of its lobe hardly shows
-
 
 def _is(value: Value, number: float) -> bool:
     """Whether a value is known to be this number."""
@@ -37,10 +35,6 @@ def _warn_anisotropy(node: NodeInput, key: str) -> None:
         node.warn("anisotropy is left out: highlights and reflections are round")
 
 
-def _warn_sheen(node: NodeInput) -> None:
-    node.warn("sheen keeps its albedo, and scatters light as a diffuse surface does")
-
-
 @closure("ShaderNodeBsdfPrincipled")
 def principled(node: NodeInput, weight: Value) -> None:
     """Principled BSDF v2: alpha, sheen, coat, emission, metal, transmission, dielectric over diffuse."""
@@ -55,8 +49,6 @@ def principled(node: NodeInput, weight: Value) -> None:
     base, roughness, ior = node["Base Color"], node["Roughness"], node["IOR"]
     sheen = node["Sheen Weight"]
     if not _is(sheen, 0):
-        if not isinstance(sheen, Constant) or sheen.x > _FAINT:
-            _warn_sheen(node)
         lobe = node.pack(sheen, node["Sheen Roughness"])
         weight = node.emit(ops.SHEEN_CLOSURE, lobe, node["Sheen Tint"], ZERO, weight)
     _warn_anisotropy(node, "Anisotropic")
@@ -118,12 +110,10 @@ def subsurface(node: NodeInput, weight: Value) -> None:
 
 @closure("ShaderNodeBsdfSheen")
 def sheen(node: NodeInput, weight: Value) -> None:
-    """Sheen BSDF, microfibre or Ashikhmin (treated alike)."""
+    """Sheen BSDF, microfibre or Ashikhmin's velvet."""
     _normal(node)
-    if node.node.distribution != "MICROFIBER":
-        node.warn("an Ashikhmin sheen is treated as a microfibre sheen")
-    _warn_sheen(node)
-    node.emit(ops.SHEEN_CLOSURE, node.pack(ONE, node["Roughness"]), node["Color"], ZERO, weight)
+    velvet = int(node.node.distribution != "MICROFIBER")
+    node.emit(ops.SHEEN_CLOSURE, node.pack(ONE, node["Roughness"]), node["Color"], ZERO, weight, p=velvet)
 
 
 @closure("ShaderNodeBsdfToon")
