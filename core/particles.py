@@ -42,6 +42,7 @@ from .sampling.sequences import sobol
 from .scene import ANGLED, DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SHADOW, SPOT, TRANSLUCENT, TRANSPARENT
 from .surfaces.bumps import shadowing
 from .surfaces.layout import (
+    GLOSS,
     GLOSSY_F0,
     GLOSSY_F90,
     ROUGHNESS,
@@ -155,7 +156,7 @@ def _reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2):
     set_lobe(
         lobe, sx, sy, sz, gx, gy, gz, -dx, -dy, -dz, surface[ROUGHNESS],
         surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2],
-        surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2],
+        surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2], surface[GLOSS], surface[GLOSS + 1], surface[GLOSS + 2], surface[GLOSS + 3],
     )  # fmt: skip
     if not lobe[ALPHA] > _0:
         return gx, gy, gz, _0, _0, _0

@@ -83,6 +83,7 @@ class Receivers(NamedTuple):
     tilt: np.ndarray
     rough: np.ndarray
     sheen: np.ndarray
+    gloss: np.ndarray
     entered: np.ndarray
     gathered: np.ndarray
     met: np.ndarray
@@ -760,6 +761,7 @@ def set_point_lobe(points, i, lobe):
         lobe, points.ns[i, 0], points.ns[i, 1], points.ns[i, 2], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2],
         points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], points.roughness[i],
         points.f0[i, 0], points.f0[i, 1], points.f0[i, 2], points.f90[i, 0], points.f90[i, 1], points.f90[i, 2],
+        points.gloss[i, 0], points.gloss[i, 1], points.gloss[i, 2], points.gloss[i, 3],
     )  # fmt: skip
 
 
@@ -828,7 +830,7 @@ def direct_light(
         triangle = getattr(points, "triangle", np.full(len(points.position), -1, np.int32))
         receivers = Receivers(
             points.position, points.ns, points.ng, points.error, triangle, none, none, none, np.zeros(0, np.float32), none, spread,
-            np.zeros((0, 0, 3), np.float32), tilt, rough, np.zeros((0, 4), np.float32), entered, *others,
+            np.zeros((0, 0, 3), np.float32), tilt, rough, np.zeros((0, 4), np.float32), np.zeros((0, 4), np.float32), entered, *others,
         )  # fmt: skip
     receivers = Reference(receivers)
     n, columns = len(points.position), 3 * scene.emitters.light_groups

@@ -20,6 +20,7 @@ from .layout import (
     DIFFUSE_ROUGHNESS,
     EMISSION,
     FROST,
+    GLOSS,
     GLOSSY_F0,
     GLOSSY_F90,
     LAYER_F0,
@@ -74,15 +75,20 @@ def translucent(surface, r, g, b, layered, wr, wg, wb):
 
 
 @inlined
-def _add_glossy(surface, wr, wg, wb, r0, g0, b0, r90, g90, b90, roughness):
-    """Adds a glossy lobe by its albedos at normal and grazing incidence."""
+def _add_glossy(surface, wr, wg, wb, r0, g0, b0, r90, g90, b90, roughness, top, er, eg, eb):
+    """Adds a glossy lobe by its albedos at normal and grazing incidence; top, (er, eg, eb): as `layout.GLOSS`."""
     surface[GLOSSY_F0] += wr * r0
     surface[GLOSSY_F0 + 1] += wg * g0
     surface[GLOSSY_F0 + 2] += wb * b0
     surface[GLOSSY_F90] += wr * r90
     surface[GLOSSY_F90 + 1] += wg * g90
     surface[GLOSSY_F90 + 2] += wb * b90
-    surface[ROUGHNESS] += roughness * (wr * (r0 + r90) + wg * (g0 + g90) + wb * (b0 + b90))
+    weight = wr * (r0 + r90) + wg * (g0 + g90) + wb * (b0 + b90)
+    surface[ROUGHNESS] += roughness * weight
+    surface[GLOSS] += top * weight
+    surface[GLOSS + 1] += er * weight
+    surface[GLOSS + 2] += eg * weight
+    surface[GLOSS + 3] += eb * weight
 
 
 @inlined
@@ -99,6 +105,12 @@ def _darkening(mean_fresnel, roughness, multiple):
     if not multiple:
         return e
     return e + ggx.multiple_scattering(mean_fresnel, roughness) * (F(1) - e)
+
+
+@inlined
+def _top(reflectance, multiple):
+    """The first number of `layout.GLOSS`."""
+    return reflectance if multiple else -reflectance
 
 
 @inlined
@@ -139,7 +151,7 @@ def dielectric_over_diffuse(surface, r, g, b, roughness, ior, level, rough, mult
     surface[LAYER_ROUGHNESS] += covered * roughness
     surface[LAYER_MULTIPLE] += covered * fms
     d = _darkening(mean_fresnel, roughness, multiple)
-    _add_glossy(surface, wr * d, wg * d, wb * d, f0r, f0g, f0b, F(1), F(1), F(1), roughness)
+    _add_glossy(surface, wr * d, wg * d, wb * d, f0r, f0g, f0b, F(1), F(1), F(1), roughness, _top(F(1), multiple), F(0), F(0), F(0))
 
 
 @inlined
@@ -150,7 +162,8 @@ def metal(surface, r, g, b, roughness, multiple, tr, tg, tb, wr, wg, wb):
     wr *= _darkening(_f82_mean(r, tr), roughness, multiple)
     wg *= _darkening(_f82_mean(g, tg), roughness, multiple)
     wb *= _darkening(_f82_mean(b, tb), roughness, multiple)
-    _add_glossy(surface, wr, wg, wb, r, g, b, F(1), F(1), F(1), roughness)
+    er, eg, eb = F(1) - min(max(tr, F(0)), F(1)), F(1) - min(max(tg, F(0)), F(1)), F(1) - min(max(tb, F(0)), F(1))
+    _add_glossy(surface, wr, wg, wb, r, g, b, F(1), F(1), F(1), roughness, _top(F(1), multiple), er, eg, eb)
 
 
 @inlined
@@ -167,10 +180,11 @@ def glossy(surface, r, g, b, roughness, multiple, wr, wg, wb):
     """Glossy BSDF: the same reflectance at every angle."""
     roughness = min(max(roughness, F(0)), F(1))
     r, g, b = max(r, F(0)), max(g, F(0)), max(b, F(0))
+    top = _top(min(max(r, g, b), F(1)), multiple)
     r *= _darkening(min(r, F(1)), roughness, multiple)
     g *= _darkening(min(g, F(1)), roughness, multiple)
     b *= _darkening(min(b, F(1)), roughness, multiple)
-    _add_glossy(surface, wr, wg, wb, r, g, b, r, g, b, roughness)
+    _add_glossy(surface, wr, wg, wb, r, g, b, r, g, b, roughness, top, F(0), F(0), F(0))
 
 
 @inlined
@@ -256,7 +270,7 @@ def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine
     _through(surface, r, g, b, roughness, ior, wr * through, wg * through, wb * through, cosine)
     tr, tg, tb = max(tr, F(0)), max(tg, F(0)), max(tb, F(0))
     if ior != F(1):
-        _add_glossy(surface, wr, wg, wb, f0 * tr, f0 * tg, f0 * tb, f90 * tr, f90 * tg, f90 * tb, roughness)
+        _add_glossy(surface, wr, wg, wb, f0 * tr, f0 * tg, f0 * tb, f90 * tr, f90 * tg, f90 * tb, roughness, F(1), F(0), F(0), F(0))
 
 
 @inlined
@@ -290,7 +304,7 @@ def coat(surface, strength, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
     albedo = F(0)
     if ior > F(1):
         albedo = _dielectric_albedo(f0, roughness, cosine)
-        _add_glossy(surface, strength * wr, strength * wg, strength * wb, f0, f0, f0, F(1), F(1), F(1), roughness)
+        _add_glossy(surface, strength * wr, strength * wg, strength * wb, f0, f0, f0, F(1), F(1), F(1), roughness, F(1), F(0), F(0), F(0))
     c = view_cosine(cosine)
     cos2 = F(0.5) if F(1) < abs(cosine) < REFLECTED else c * c
     below = min(max(F(1) - strength * albedo, F(0)), F(1))
@@ -360,6 +374,8 @@ def finish(surface):
     for k in range(6):
         glossy_weight += surface[GLOSSY_F0 + k]
     surface[ROUGHNESS] = surface[ROUGHNESS] / glossy_weight if glossy_weight > F(0) else F(0)
+    for k in range(4):
+        surface[GLOSS + k] = surface[GLOSS + k] / glossy_weight if glossy_weight > F(0) else F(0)
 
 
 __all__ = [

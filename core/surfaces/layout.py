@@ -37,7 +37,9 @@ DIFFUSE_ROUGHNESS = 34  # of the diffuse reflection (see `rough_diffuse`), weigh
 FROST = 35  # alpha of the lobe, about the straight way, by which REFRACTION leaves; 0 for clear glass (see `frosted`)
 SHEEN = 36  # rgb: the part of DIFFUSE that is sheen (see `sheen`)
 SHEEN_ROUGHNESS = 39  # of the last sheen, below 0 for a velvet; 0 for none
-SURFACE = 40  # length
+GLOSS = 40  # four numbers of the glossy lobes, weighted as ROUGHNESS, by which `lobes` knows what the albedos leave out: the largest reflectance
+# of a lobe by itself, below 0 where light scattered more than once is lost (0: 1, and none is), and, rgb, how far its tint at 82 degrees is from white
+SURFACE = 44  # length
 
 # Lobes at least as rough spread light about as a diffuse one does.
 WIDE = F(0.5)
@@ -111,11 +113,16 @@ def glossy_rise(cosine, roughness):
 def glossy_albedo(surface, cosine):
     """Glossy albedo (r, g, b) for a view at `cosine`."""
     s = glossy_rise(cosine, surface[ROUGHNESS])
-    return (
-        surface[GLOSSY_F0] + s * (surface[GLOSSY_F90] - surface[GLOSSY_F0]),
-        surface[GLOSSY_F0 + 1] + s * (surface[GLOSSY_F90 + 1] - surface[GLOSSY_F0 + 1]),
-        surface[GLOSSY_F0 + 2] + s * (surface[GLOSSY_F90 + 2] - surface[GLOSSY_F0 + 2]),
-    )
+    f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
+    upr, upg, upb = surface[GLOSSY_F90] - f0r, surface[GLOSSY_F90 + 1] - f0g, surface[GLOSSY_F90 + 2] - f0b
+    r, g, b = f0r + s * upr, f0g + s * upg, f0b + s * upb
+    er, eg, eb = surface[GLOSS + 1], surface[GLOSS + 2], surface[GLOSS + 3]
+    if er + eg + eb > F(0):
+        dip = ggx.edge_dip(cosine, surface[ROUGHNESS])
+        r = max(r - er * dip * ggx.edge(f0r, upr), F(0))
+        g = max(g - eg * dip * ggx.edge(f0g, upg), F(0))
+        b = max(b - eb * dip * ggx.edge(f0b, upb), F(0))
+    return r, g, b
 
 
 @inlined

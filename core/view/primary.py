@@ -45,6 +45,7 @@ from .tile import (
     G_F0,
     G_F90,
     G_FROST,
+    G_GLOSS,
     G_ROUGHNESS,
     G_THROUGH,
     G_TRANSLUCENCY,
@@ -307,6 +308,9 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
         points.pixel[i] = pixel
         points.triangle[i] = triangles[lane, best, 0]
         points.roughness[i] = group[k, G_ROUGHNESS] / group[k, MEMBERS]
+        if turn == REFLECTING:
+            for c in range(4):
+                points.gloss[i, c] = group[k, G_GLOSS + c] / group[k, MEMBERS]
         points.behind_glass[i] = tile.glass[lane, best] > 0
         points.tilt[i] = sample[best, TILTED] if turn == REFLECTING else np.float32(0.0)
         points.rough[i] = sample[best, ROUGH] if turn == REFLECTING else np.float32(0.0)

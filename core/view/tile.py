@@ -34,6 +34,7 @@ from ..surfaces.layout import (
     DIFFUSE_ROUGHNESS,
     EMISSION,
     FROST,
+    GLOSS,
     GLOSSY_F0,
     GLOSSY_F90,
     NORMAL,
@@ -82,7 +83,7 @@ LOOKING = SHOWN | 16  # shows a pane of frosted glass, whose lobe shows all that
 SURFACES, ALL_LIGHT = 1, 2  # what rows of their own show of a mirror's lobe
 # Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
 PLACE, ERROR, FACING, SHADED, TILTED, ROUGH, BEYOND, SHEENED, SAMPLE = 0, 3, 4, 7, 10, 11, 12, 13, 17
-MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY, G_THROUGH, G_FROST, G_COLUMNS = 0, 1, 4, 7, 10, 11, 14, 17, 18
+MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY, G_THROUGH, G_FROST, G_GLOSS, G_COLUMNS = 0, 1, 4, 7, 10, 11, 14, 17, 18, 22
 _GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
 FINEST = np.float32(1e-3)  # shares of the samples below which what is left of their choice has too few bits
 FAINT = np.float32(1e-12)  # albedo of which no share can be told
@@ -108,7 +109,7 @@ class Tile(NamedTuple):
     out: (16, C) float32, sums of the pixels' layers.  nearest: (16,) int32, the row nearest to the camera, -1 for none.
     sample: (16, R, SAMPLE) float32, position, its error, geometric and shading normal, tilt and diffuse roughness of each row, solids of glass that a view is in beyond it, and `ShadingPoints.sheen`.  group_of: (16, R) int32, which of the
     pixel's surfaces it shows, -1 for none.  groups: (16,) int32, how many there are.  first: (16, R) int32, the first row of each.
-    group: (16, R, G_COLUMNS) float32, rows of each, sums of albedo, f0, f90, roughness, translucency, of what frosted glass lets through, and of that by its lobe's width.
+    group: (16, R, G_COLUMNS) float32, rows of each, sums of albedo, f0, f90, roughness, translucency, of what frosted glass lets through, of that by its lobe's width, and of `layout.GLOSS`.
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
     origin: (16, 3), passed: (16,) float32, of the rays of a packet.  axial, before: (16,) float32, depth (m) by a meter of it, and before its origin.
     choice: (16, 2) float32, a uniform number for the next surface with transparency, and the share of all samples among which it is even.
@@ -274,6 +275,7 @@ def _reflected(materials, geometry, material, triangle, u, v, dx, dy, dz, kind, 
     set_lobe(
         lobe, sx, sy, sz, gx, gy, gz, -dx, -dy, -dz, surface[ROUGHNESS],
         surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2], surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2],
+        surface[GLOSS], surface[GLOSS + 1], surface[GLOSS + 2], surface[GLOSS + 3],
     )  # fmt: skip
     if not lobe[ALPHA] > _0:
         return False, x, y, z, dx, dy, dz, _0, _0, _0
@@ -658,6 +660,8 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             group[k, G_F90 + 1] += fg
             group[k, G_F90 + 2] += fb
             group[k, G_ROUGHNESS] += surface[ROUGHNESS]
+            for c in range(4):
+                group[k, G_GLOSS + c] += surface[GLOSS + c]
             group[k, G_TRANSLUCENCY] += tr
             group[k, G_TRANSLUCENCY + 1] += tg
             group[k, G_TRANSLUCENCY + 2] += tb

@@ -8,6 +8,8 @@ from ..registry import closure
 from ..requests import WORLD_NORMAL
 from ..tree import NodeInput
 
+_COS_82 = 1 / 7  # cosine of what is called 82 degrees in F82
+
 
 def _is(value: Value, number: float) -> bool:
     """Whether a value is known to be this number."""
@@ -135,6 +137,19 @@ def glossy(node: NodeInput, weight: Value) -> None:
     node.emit(ops.GLOSSY_CLOSURE, node["Color"], node["Roughness"], ZERO, weight, p=_multiple(node))
 
 
+def _conductor_edge(node: NodeInput, base: Value, n: Value, k2: Value) -> Value:
+    """The tint at 82 degrees of a conductor: its reflectance there (Rs and Rp of a large n^2 + k^2) over Schlick's, which rises from `base` to 1."""
+    c, twice = scalar(_COS_82), node.vector("MULTIPLY", scalar(2 * _COS_82), n)
+    size = node.vector("MULTIPLY_ADD", n, n, k2)
+    parts = []
+    for a, b in ((size, node.vector("MULTIPLY", c, c)), (node.vector("MULTIPLY", size, node.vector("MULTIPLY", c, c)), ONE)):
+        whole = node.vector("ADD", a, b)
+        parts.append(node.vector("DIVIDE", node.vector("SUBTRACT", whole, twice), node.vector("ADD", whole, twice)))
+    reflected = node.vector("MULTIPLY", scalar(0.5), node.vector("ADD", *parts))
+    schlick = node.vector("MULTIPLY_ADD", node.complement(base), scalar((1 - _COS_82) ** 5), base)
+    return node.vector("DIVIDE", reflected, schlick)
+
+
 @closure("ShaderNodeBsdfMetallic")
 def metallic(node: NodeInput, weight: Value) -> None:
     """Metallic BSDF: by base colour and edge tint (F82), or by the conductor's n and k."""
@@ -148,7 +163,7 @@ def metallic(node: NodeInput, weight: Value) -> None:
         above = node.vector("SUBTRACT", n, one)
         below = node.vector("ADD", n, one)
         base = node.vector("DIVIDE", node.vector("MULTIPLY_ADD", above, above, k2), node.vector("MULTIPLY_ADD", below, below, k2))
-        edge = ONE
+        edge = _conductor_edge(node, base, n, k2)
     node.emit(ops.METAL_CLOSURE, base, node["Roughness"], edge, weight, p=_multiple(node))
 
 
