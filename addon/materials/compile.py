@@ -102,6 +102,7 @@ def _link(programs: list[Program], names: list[str], textures: TexturePool, warn
                 | scene.TRANSPARENT * bool(operations & _TRANSPARENT)
                 | scene.REFRACTIVE * bool(operations & _REFRACTIVE)
                 | scene.FROSTED * _is_frosted(program)
+                | scene.COATED * (ops.COAT_CLOSURE in operations)
                 | scene.GLOSSY_LOBE * bool(operations & _GLOSSY)
                 | scene.TRANSLUCENT * (ops.TRANSLUCENT_CLOSURE in operations)
                 | scene.ANGLED * bool(operations & _ANGLED)

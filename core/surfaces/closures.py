@@ -16,6 +16,9 @@ from ..scene import DIFFUSE as DIFFUSE_RAY
 from . import frosted, ggx
 from . import sheen as sheens
 from .layout import (
+    COAT,
+    COAT_F0,
+    COAT_ROUGHNESS,
     DIFFUSE,
     DIFFUSE_ROUGHNESS,
     EMISSION,
@@ -304,7 +307,12 @@ def coat(surface, strength, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
     albedo = F(0)
     if ior > F(1):
         albedo = _dielectric_albedo(f0, roughness, cosine)
-        _add_glossy(surface, strength * wr, strength * wg, strength * wb, f0, f0, f0, F(1), F(1), F(1), roughness, F(1), F(0), F(0), F(0))
+        kept = strength * ggx.single_scattering_mean(roughness)  # what is scattered again is lost, if to no layer below
+        kr, kg, kb = kept * wr, kept * wg, kept * wb
+        _add_glossy(surface, kr, kg, kb, f0, f0, f0, F(1), F(1), F(1), roughness, F(1), F(0), F(0), F(0))
+        add(surface, COAT, kr, kg, kb, F(1), F(1), F(1))
+        surface[COAT_F0] += f0 * (kr + kg + kb)
+        surface[COAT_ROUGHNESS] += roughness * (kr + kg + kb)
     c = view_cosine(cosine)
     cos2 = F(0.5) if F(1) < abs(cosine) < REFLECTED else c * c
     below = min(max(F(1) - strength * albedo, F(0)), F(1))
@@ -368,6 +376,10 @@ def finish(surface):
         surface[LAYER_F0] = surface[LAYER_Z] = surface[LAYER_ROUGHNESS] = surface[LAYER_MULTIPLE] = F(0)
     if surface[LAYERED_TRANSLUCENCY] > F(0):
         surface[LAYERED_TRANSLUCENCY] /= surface[TRANSLUCENCY] + surface[TRANSLUCENCY + 1] + surface[TRANSLUCENCY + 2]
+    coat_weight = surface[COAT] + surface[COAT + 1] + surface[COAT + 2]
+    if coat_weight > F(0):
+        surface[COAT_F0] /= coat_weight
+        surface[COAT_ROUGHNESS] /= coat_weight
     if surface[FROST] > F(0):
         surface[FROST] /= surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
     glossy_weight = F(0)

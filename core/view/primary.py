@@ -24,9 +24,9 @@ from ..rays.packet import WIDTH, new_packet
 from ..references import Reference
 from ..sampling.hashing import uniform
 from ..sampling.maps import orthonormal_basis
-from ..scene import CAMERA, FROSTED, TRANSLUCENT, Scene
+from ..scene import CAMERA, COATED, FROSTED, TRANSLUCENT, Scene
 from ..surfaces.frosted import seen_through
-from ..surfaces.layout import SURFACE
+from ..surfaces.layout import COAT_TOP, SURFACE
 from ..surfaces.program import new_registers, with_viewer
 from ..threads import Progress, run_chunks
 from .camera import camera_tables
@@ -42,6 +42,9 @@ from .tile import (
     ERROR,
     FACING,
     G_ALBEDO,
+    G_COAT,
+    G_COAT_F0,
+    G_COAT_ROUGHNESS,
     G_F0,
     G_F90,
     G_FROST,
@@ -76,7 +79,7 @@ WIDEST = np.float32(0.5)  # half width, as a tangent: beyond it a pixel shows mo
 LEAST_MEMBERS = 4  # samples of a surface that tell how its normals are spread
 FLAT = np.float32(1e-9)  # squared distance of shading and geometric normal, at most, of a flat face
 SAME_FACET = np.float32(0.97)  # cosine of facets' normals that are lit alike, at least
-REFLECTING, TRANSLUCENT_POINTS, FROSTED_POINTS = 0, 1, 2  # kinds of shading points, in the order in which they are made
+REFLECTING, COAT_POINTS, TRANSLUCENT_POINTS, FROSTED_POINTS = 0, 1, 2, 3  # kinds of shading points, in the order in which they are made
 EVEN = 4  # samples a pixel: fewer tell too little of what varies, and every pixel has the same
 
 
@@ -232,7 +235,7 @@ def _turn(sample, member, members, chosen, turned):
 def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points):
     """Makes shading points of the surfaces that a pixel of the tile shows; how many there are then.
 
-    number: of the pixel in the full frame.  turn: REFLECTING, or, lit from the side that is not seen, TRANSLUCENT_POINTS, without lobes, or FROSTED_POINTS, with
+    number: of the pixel in the full frame.  turn: REFLECTING, COAT_POINTS, with the lobe of a coat alone, or, lit from the side that is not seen, TRANSLUCENT_POINTS, without lobes, or FROSTED_POINTS, with
     a lobe alone, that of a mirror whose image is what lies behind.
     member: (R,) int32, scratch.
     """
@@ -245,7 +248,9 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
         albedo, upto = G_TRANSLUCENCY, G_TRANSLUCENCY + 3
     elif turn == FROSTED_POINTS:
         albedo, upto = G_THROUGH, G_THROUGH + 3
-    if turn != REFLECTING:
+    elif turn == COAT_POINTS:
+        albedo, upto = G_COAT, G_COAT + 3
+    if turn >= TRANSLUCENT_POINTS:
         side, lobe = np.float32(-1.0), np.float32(0.0)
     step = _mirrored_light(tile, lane, albedo, upto) / np.float32(MOST_MIRRORED)
     start, seen = uniform(seed, number, 0, 2), np.float32(0.0)
@@ -294,6 +299,12 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
             for c in range(3):
                 points.f0[i, c] = points.f90[i, c] = points.albedo[i, c]
                 points.albedo[i, c] = np.float32(0.0)
+        if turn == COAT_POINTS:
+            light = group[k, G_COAT] + group[k, G_COAT + 1] + group[k, G_COAT + 2]
+            for c in range(3):
+                points.f0[i, c] = group[k, G_COAT_F0] / light * points.albedo[i, c]
+                points.f90[i, c] = points.albedo[i, c]
+                points.albedo[i, c] = np.float32(0.0)
         points.error[i] = sample[best, ERROR]
         for j in range(SPREAD):
             other = member[(chosen + (j + 1) * members // (SPREAD + 1)) % members]
@@ -303,7 +314,7 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
             for c in range(3):
                 points.spread[i, j, c] = sample[other, PLACE + c] - sample[best, PLACE + c]
         shine = points.f0[i, 0] + points.f0[i, 1] + points.f0[i, 2] + points.f90[i, 0] + points.f90[i, 1] + points.f90[i, 2]
-        if shine > 0 and turn == REFLECTING:  # the straight way through glass knows no normal
+        if shine > 0 and turn <= COAT_POINTS:  # the straight way through glass knows no normal
             _turn(sample, member, members, chosen, points.turned[i])
         points.pixel[i] = pixel
         points.triangle[i] = triangles[lane, best, 0]
@@ -311,6 +322,8 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
         if turn == REFLECTING:
             for c in range(4):
                 points.gloss[i, c] = group[k, G_GLOSS + c] / group[k, MEMBERS]
+        elif turn == COAT_POINTS:
+            points.roughness[i], points.gloss[i, 0] = group[k, G_COAT_ROUGHNESS] / light, COAT_TOP
         points.behind_glass[i] = tile.glass[lane, best] > 0
         points.tilt[i] = sample[best, TILTED] if turn == REFLECTING else np.float32(0.0)
         points.rough[i] = sample[best, ROUGH] if turn == REFLECTING else np.float32(0.0)
@@ -404,8 +417,12 @@ def _view_tiles(
             for c in range(3):
                 out[NORMALS + c], out[POSITION + c] = sample[nearest, SHADED + c], sample[nearest, PLACE + c]
             out[DEPTH] = tile.depth[lane, nearest]
-        for turn in range(3):
-            if (turn == TRANSLUCENT_POINTS and not some & TRANSLUCENT) or (turn == FROSTED_POINTS and not some & FROSTED):
+        for turn in range(4):
+            if (
+                (turn == COAT_POINTS and not some & COATED)
+                or (turn == TRANSLUCENT_POINTS and not some & TRANSLUCENT)
+                or (turn == FROSTED_POINTS and not some & FROSTED)
+            ):
                 continue
             # Light from the other side comes last: neighbours that are lit from one side follow each other.
             for lane in range(WIDTH):
@@ -441,7 +458,7 @@ def view(
     offsets = film.offsets()
     seen_by = scene.world.visibility & ~CAMERA if film.transparent else scene.world.visibility
 
-    sides = 1 + sum((scene.materials.tables.flags & flag).any() for flag in (TRANSLUCENT, FROSTED))
+    sides = 1 + sum((scene.materials.tables.flags & flag).any() for flag in (COATED, TRANSLUCENT, FROSTED))
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * WIDTH * (1 + PANES) * most * sides)

@@ -26,11 +26,14 @@ from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, set_ray
 from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import hash_key, to_unit, uniform
-from ..scene import CAMERA, FROSTED, GLOSSY, MIRRORING, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, TRANSMISSION, TRANSPARENT
+from ..scene import CAMERA, COATED, FROSTED, GLOSSY, MIRRORING, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.frosted import joined_alpha, pane_alpha, seen_through
 from ..surfaces.layout import (
+    COAT,
+    COAT_F0,
+    COAT_ROUGHNESS,
     DIFFUSE_ROUGHNESS,
     EMISSION,
     FROST,
@@ -44,6 +47,7 @@ from ..surfaces.layout import (
     SHEEN_ROUGHNESS,
     TILT,
     TRANSPARENCY,
+    bare,
     diffuse_albedo,
     diffuse_color,
     glossy_albedo,
@@ -83,7 +87,21 @@ LOOKING = SHOWN | 16  # shows a pane of frosted glass, whose lobe shows all that
 SURFACES, ALL_LIGHT = 1, 2  # what rows of their own show of a mirror's lobe
 # Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
 PLACE, ERROR, FACING, SHADED, TILTED, ROUGH, BEYOND, SHEENED, SAMPLE = 0, 3, 4, 7, 10, 11, 12, 13, 17
-MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY, G_THROUGH, G_FROST, G_GLOSS, G_COLUMNS = 0, 1, 4, 7, 10, 11, 14, 17, 18, 22
+MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY, G_THROUGH, G_FROST, G_GLOSS, G_COAT, G_COAT_F0, G_COAT_ROUGHNESS, G_COLUMNS = (
+    0,
+    1,
+    4,
+    7,
+    10,
+    11,
+    14,
+    17,
+    18,
+    22,
+    25,
+    26,
+    27,
+)
 _GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
 FINEST = np.float32(1e-3)  # shares of the samples below which what is left of their choice has too few bits
 FAINT = np.float32(1e-12)  # albedo of which no share can be told
@@ -109,7 +127,7 @@ class Tile(NamedTuple):
     out: (16, C) float32, sums of the pixels' layers.  nearest: (16,) int32, the row nearest to the camera, -1 for none.
     sample: (16, R, SAMPLE) float32, position, its error, geometric and shading normal, tilt and diffuse roughness of each row, solids of glass that a view is in beyond it, and `ShadingPoints.sheen`.  group_of: (16, R) int32, which of the
     pixel's surfaces it shows, -1 for none.  groups: (16,) int32, how many there are.  first: (16, R) int32, the first row of each.
-    group: (16, R, G_COLUMNS) float32, rows of each, sums of albedo, f0, f90, roughness, translucency, of what frosted glass lets through, of that by its lobe's width, and of `layout.GLOSS`.
+    group: (16, R, G_COLUMNS) float32, rows of each, sums of albedo, f0, f90, roughness, translucency, of what frosted glass lets through, of that by its lobe's width, of `layout.GLOSS`, and of coats and of them by their numbers.
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
     origin: (16, 3), passed: (16,) float32, of the rays of a packet.  axial, before: (16,) float32, depth (m) by a meter of it, and before its origin.
     choice: (16, 2) float32, a uniform number for the next surface with transparency, and the share of all samples among which it is even.
@@ -649,6 +667,14 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             group[k, G_ALBEDO] += lit * ar
             group[k, G_ALBEDO + 1] += lit * ag
             group[k, G_ALBEDO + 2] += lit * ab
+            if materials.flags[material[triangle]] & COATED and tile.shown[pixel, s] != ALL_LIGHT:
+                bare(surface)
+                cr, cg, cb = wr * surface[COAT], wg * surface[COAT + 1], wb * surface[COAT + 2]
+                group[k, G_COAT] += cr
+                group[k, G_COAT + 1] += cg
+                group[k, G_COAT + 2] += cb
+                group[k, G_COAT_F0] += (cr + cg + cb) * surface[COAT_F0]
+                group[k, G_COAT_ROUGHNESS] += (cr + cg + cb) * surface[COAT_ROUGHNESS]
             if tile.shown[pixel, s] == ALL_LIGHT:
                 for c in range(3):
                     surface[GLOSSY_F0 + c] = surface[GLOSSY_F90 + c] = _0

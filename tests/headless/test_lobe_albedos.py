@@ -18,6 +18,8 @@ COLOR = (0.6, 0.3, 0.2, 1)
 ANGLES = (0.1, 0.8, 1.3)  # of the view with the normal
 PRINCIPLED = {
     "metal": {"Metallic": 1.0, "Roughness": 0.9},
+    "coat": {"Roughness": 0.5, "Coat Weight": 1.0, "Coat Roughness": 0.2, "Coat Tint": (0.8, 0.9, 0.5, 1)},
+    "coated metal": {"Metallic": 1.0, "Roughness": 0.5, "Coat Weight": 1.0, "Coat Roughness": 0.1},
     "tinted metal": {"Metallic": 1.0, "Roughness": 0.5, "Specular Tint": (0.2, 0.5, 0.9, 1)},
 }
 NODES = {
