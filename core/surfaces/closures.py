@@ -42,6 +42,11 @@ from .layout import (
 
 F = np.float32
 
+# Of the Glossy BSDF's distributions, beside 0 and 1.
+BECKMANN = 2
+# Times a Beckmann lobe's roughness: that of the GGX lobe whose normals have the same median slope, (ln 2)^(1/4).
+_BECKMANN_ROUGHNESS = F(0.9124)
+
 # Added to |cosine| where not the camera looks, but light that is reflected on (see `program.reflected_view`).
 REFLECTED = F(4)
 # Added instead where the camera looks by way of a mirror or through glass (see `program.specular_view`).
@@ -179,9 +184,15 @@ def _f82_mean(f0, tint):
 
 
 @inlined
-def glossy(surface, r, g, b, roughness, multiple, wr, wg, wb):
-    """Glossy BSDF: the same reflectance at every angle."""
+def glossy(surface, r, g, b, roughness, kind, wr, wg, wb):
+    """Glossy BSDF: the same reflectance at every angle.  kind: 1 for Multiscatter GGX, BECKMANN, else 0."""
     roughness = min(max(roughness, F(0)), F(1))
+    multiple = kind == 1
+    if kind == BECKMANN:  # without the long tails of GGX, whose middle is as bright where it is narrower, next to nothing is lost
+        roughness *= _BECKMANN_ROUGHNESS
+        r, g, b = max(r, F(0)), max(g, F(0)), max(b, F(0))
+        _add_glossy(surface, wr, wg, wb, r, g, b, r, g, b, roughness, F(1), F(0), F(0), F(0))
+        return
     r, g, b = max(r, F(0)), max(g, F(0)), max(b, F(0))
     top = _top(min(max(r, g, b), F(1)), multiple)
     r *= _darkening(min(r, F(1)), roughness, multiple)
@@ -191,13 +202,14 @@ def glossy(surface, r, g, b, roughness, multiple, wr, wg, wb):
 
 
 @inlined
-def _through(surface, r, g, b, roughness, ior, wr, wg, wb, cosine):
+def _through(surface, r, g, b, roughness, ior, thin, wr, wg, wb, cosine):
     """Lets (r, g, b) straight through, as glass does, or about the straight way where it is rough."""
     add(surface, TRANSPARENCY, wr, wg, wb, r, g, b)
     add(surface, REFRACTION, wr, wg, wb, r, g, b)
     if roughness > F(0):
         passed = wr * max(r, F(0)) + wg * max(g, F(0)) + wb * max(b, F(0))
-        surface[FROST] += passed * frosted.lobe_alpha(roughness, ior, view_cosine(cosine))
+        alpha = frosted.thin_alpha(roughness, ior) if thin else frosted.lobe_alpha(roughness, ior, view_cosine(cosine))
+        surface[FROST] += passed * alpha
 
 
 @inlined
@@ -208,7 +220,7 @@ def refraction(surface, r, g, b, roughness, ior, wr, wg, wb, cosine):
     """
     if cosine <= -WITHIN and dielectric_fresnel(cosine, ior) >= F(1):
         return
-    _through(surface, r, g, b, min(max(roughness, F(0)), F(1)), ior, wr, wg, wb, cosine)
+    _through(surface, r, g, b, min(max(roughness, F(0)), F(1)), ior, False, wr, wg, wb, cosine)
 
 
 @leaf
@@ -270,7 +282,7 @@ def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine
         if cosine < F(0) and roughness > F(0) and ior > F(1) and not thin:
             kept = f0 = f90 = _kept_by_back(f0, ior, roughness, view_cosine(cosine), kept)
         through -= kept
-    _through(surface, r, g, b, roughness, ior, wr * through, wg * through, wb * through, cosine)
+    _through(surface, r, g, b, roughness, ior, thin != 0, wr * through, wg * through, wb * through, cosine)
     tr, tg, tb = max(tr, F(0)), max(tg, F(0)), max(tb, F(0))
     if ior != F(1):
         _add_glossy(surface, wr, wg, wb, f0 * tr, f0 * tg, f0 * tb, f90 * tr, f90 * tg, f90 * tb, roughness, F(1), F(0), F(0), F(0))

@@ -32,14 +32,16 @@ def lobe_alpha(roughness, ior, cosine):
 
 
 @inlined
-def joined_alpha(first, second):
-    """Width of what two surfaces in a row blur, by their widths."""
-    return (first**_POWER + second**_POWER) ** (F(1) / _POWER)
+def thin_alpha(roughness, ior):
+    """The same of a thin wall, both of whose sides Cycles (Blender 5.2) has as one such lobe, by a fit of its own."""
+    squared = F(3.4) * (ior - F(1)) * (ior - F(0.5)) * (ior - F(0.5)) / (ior * ior * ior)
+    return min(roughness * roughness * F(math.sqrt(max(squared, F(0)))), F(1))
 
 
 @inlined
-def pane_alpha(joined):
-    """Width (0..1) of the lobe of several surfaces with the `joined_alpha` of so much."""
+def joined_alpha(first, second):
+    """Width (0..1) of what two surfaces in a row blur, by their widths."""
+    joined = (first**_POWER + second**_POWER) ** (F(1) / _POWER)
     x = joined / _HALVED
     return min(joined / (F(1) + x * x), F(1))
 

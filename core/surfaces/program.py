@@ -51,7 +51,7 @@ MEAN_VIEW = 2.0
     EMISSION_CLOSURE,  # radiance a
     TRANSPARENT_CLOSURE,  # colour a
     REFRACTION_CLOSURE,  # colour a, (roughness, ior) b
-    GLOSSY_CLOSURE,  # colour a, roughness b.x, p: multiple scattering
+    GLOSSY_CLOSURE,  # colour a, roughness b.x, p: distribution, see `closures.glossy`
     METAL_CLOSURE,  # colour a, roughness b.x, tint at 82 degrees c, p: multiple scattering
     GLASS_CLOSURE,  # colour a, (roughness, ior) b, tint of the reflection c, p: a thin wall
     DIELECTRIC_CLOSURE,  # base colour a, (roughness, ior, specular level, diffuse roughness) b, tint c, p: multiple scattering

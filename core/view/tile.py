@@ -29,7 +29,7 @@ from ..sampling.hashing import hash_key, to_unit, uniform
 from ..scene import CAMERA, COATED, FROSTED, GLOSSY, MIRRORING, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
 from ..surfaces.bumps import mean_shadowing
-from ..surfaces.frosted import joined_alpha, pane_alpha, seen_through
+from ..surfaces.frosted import joined_alpha, seen_through
 from ..surfaces.layout import (
     COAT,
     COAT_F0,
@@ -696,7 +696,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
                 group[k, G_THROUGH] += pr
                 group[k, G_THROUGH + 1] += pg
                 group[k, G_THROUGH + 2] += pb
-                group[k, G_FROST] += (pr + pg + pb) * pane_alpha(tile.frost[pixel, s])
+                group[k, G_FROST] += (pr + pg + pb) * tile.frost[pixel, s]
             ar, ag, ab = ar + tr, ag + tg, ab + tb
             seen = ar + ag + ab + er + eg + eb + surface[GLOSSY_F0] * wr + surface[GLOSSY_F0 + 1] * wg + surface[GLOSSY_F0 + 2] * wb
         if s < most:

@@ -71,7 +71,7 @@ def test_both_sides_of_a_pane_blur_one_after_the_other(roughness):
     outside, lost = refracted(-inside, microfacets(rng, n, alpha), 1 / IOR)
     weight *= (1 - lost) * (outside[:, 2] < 0)
     one = frosted.lobe_alpha(F(roughness), F(IOR), F(1))
-    both = frosted.pane_alpha(frosted.joined_alpha(one, one))
+    both = frosted.joined_alpha(one, one)
     assert both > 1.3 * one
     assert mirrored_median(both, 1.0) == pytest.approx(median_angle(outside, weight, np.array([0, 0, -1.0])), rel=0.08)
 
@@ -103,7 +103,7 @@ def test_a_rough_pane_has_a_lobe_that_shows_what_lies_behind():
     assert len(points.pixel) == 16 * 16 and not points.behind_glass.any() and not points.shown.any() and not points.albedo.any()
     np.testing.assert_allclose(points.f0, 0.8, rtol=1e-5)
     np.testing.assert_array_equal(points.f0, points.f90)
-    np.testing.assert_allclose(points.roughness**2, frosted.pane_alpha(F(0.1)), rtol=1e-5)
+    np.testing.assert_allclose(points.roughness**2, 0.1, rtol=1e-5)
     np.testing.assert_allclose(points.ns, np.broadcast_to((0, 0, -1), points.ns.shape), atol=1e-5)
     # Its mirror's direction is straight on, away from the camera in the origin.
     mirrored = 2 * np.einsum("nc,nc->n", points.wo, points.ns)[:, None] * points.ns - points.wo
@@ -115,7 +115,7 @@ def test_a_second_surface_blurs_as_well_and_has_no_lobe_of_its_own():
     points = seen(before_a_pane(0.1, panes=2), 16).points
     assert len(points.pixel) == 16 * 16
     np.testing.assert_allclose(points.position[:, 2], -2, rtol=1e-5)
-    np.testing.assert_allclose(points.roughness**2, frosted.pane_alpha(frosted.joined_alpha(F(0.1), F(0.1))), rtol=1e-4)
+    np.testing.assert_allclose(points.roughness**2, frosted.joined_alpha(F(0.1), F(0.1)), rtol=1e-4)
     np.testing.assert_allclose(points.f0, 0.8, rtol=1e-5)  # rays of the lobe meet the second surface themselves
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ....core.surfaces import program as ops
+from ....core.surfaces.closures import BECKMANN
 from ..builder import ONE, ZERO, Constant, Value, scalar
 from ..registry import closure
 from ..requests import WORLD_NORMAL
@@ -134,7 +135,8 @@ def glossy(node: NodeInput, weight: Value) -> None:
     """Glossy BSDF."""
     _normal(node)
     _warn_anisotropy(node, "Anisotropy")
-    node.emit(ops.GLOSSY_CLOSURE, node["Color"], node["Roughness"], ZERO, weight, p=_multiple(node))
+    kind = BECKMANN if node.node.distribution == "BECKMANN" else _multiple(node)
+    node.emit(ops.GLOSSY_CLOSURE, node["Color"], node["Roughness"], ZERO, weight, p=kind)
 
 
 def _conductor_edge(node: NodeInput, base: Value, n: Value, k2: Value) -> Value:
