@@ -263,6 +263,19 @@ def _kept_by_back(f0, ior, roughness, cosine, smooth):
     return min(smooth + more / (F(1) + more), F(1))
 
 
+@leaf
+def _through_wall(color, reflected, ior, cosine):
+    """What both sides of a thin wall let through, of the colour that light has after going straight through it, by Cycles' sum over all its ways.
+
+    reflected: what one side reflects.  cosine: of the view (0..1).
+    """
+    within = np.sqrt(max(F(1) - (F(1) - cosine * cosine) / (ior * ior), F(1e-4)))
+    color = min(max(color, F(0)), F(1)) ** (F(1) / within)
+    passed = F(1) - reflected
+    again = reflected * color
+    return passed * passed * color / max(F(1) - again * again, F(1e-6)), color
+
+
 @inlined
 def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine):
     """Glass: reflects its Fresnel term times (tr, tg, tb), lets the rest times (r, g, b) through, about the straight way.
@@ -282,6 +295,20 @@ def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine
         if cosine < F(0) and roughness > F(0) and ior > F(1) and not thin:
             kept = f0 = f90 = _kept_by_back(f0, ior, roughness, view_cosine(cosine), kept)
         through -= kept
+        if thin:
+            c = view_cosine(cosine)
+            r, cr = _through_wall(r, kept, ior, c)
+            g, cg = _through_wall(g, kept, ior, c)
+            b, cb = _through_wall(b, kept, ior, c)
+            tr, tg, tb = max(tr, F(0)), max(tg, F(0)), max(tb, F(0))
+            _through(surface, r, g, b, roughness, ior, True, wr, wg, wb, cosine)
+            r, g, b = (
+                kept * (F(1) + cr * r) * tr,
+                kept * (F(1) + cg * g) * tg,
+                kept * (F(1) + cb * b) * tb,
+            )  # what the other side reflects, too
+            _add_glossy(surface, wr, wg, wb, r, g, b, r, g, b, roughness, F(1), F(0), F(0), F(0))
+            return
     _through(surface, r, g, b, roughness, ior, thin != 0, wr * through, wg * through, wb * through, cosine)
     tr, tg, tb = max(tr, F(0)), max(tg, F(0)), max(tb, F(0))
     if ior != F(1):

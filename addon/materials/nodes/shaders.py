@@ -70,7 +70,7 @@ def principled(node: NodeInput, weight: Value) -> None:
         weight = node.multiply(weight, node.complement(metallic))
     transmission = node.clamp(node["Transmission Weight"])
     if not _is(transmission, 0):
-        through = node.math_rgb("SQRT", node.clamp(base))
+        through = node.clamp(base) if thin else node.math_rgb("SQRT", node.clamp(base))  # of both sides, or one
         share = node.multiply(weight, transmission)
         node.emit(ops.GLASS_CLOSURE, through, node.pack(roughness, ior), tint, share, p=int(thin))
         weight = node.multiply(weight, node.complement(transmission))
