@@ -43,9 +43,12 @@ from .sampling.sequences import sobol
 from .scene import ANGLED, DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SPOT, TRANSLUCENT, TRANSPARENT
 from .surfaces.bumps import shadowing
 from .surfaces.layout import (
+    GLOSS,
     GLOSSY_F0,
     GLOSSY_F90,
     ROUGHNESS,
+    SHEEN,
+    SHEEN_ROUGHNESS,
     SURFACE,
     TILT,
     TRANSPARENCY,
@@ -58,6 +61,7 @@ from .surfaces.layout import (
 from .surfaces.lobes import ALPHA, LOBE, NORMAL, VIEWER, sample_lobe, set_lobe
 from .surfaces.normals import mapped_normal, shading_normal, surface_side
 from .surfaces.program import new_registers
+from .surfaces.sheen import lit_from
 from .surfaces.visibility import OUTSIDE, evaluate_along, evaluate_from, passed_glass
 from .threads import Progress, run_chunks
 from .transport import Transport
@@ -153,7 +157,7 @@ def _reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2):
     set_lobe(
         lobe, sx, sy, sz, gx, gy, gz, -dx, -dy, -dz, surface[ROUGHNESS],
         surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2],
-        surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2],
+        surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2], surface[GLOSS], surface[GLOSS + 1], surface[GLOSS + 2], surface[GLOSS + 3],
     )  # fmt: skip
     if not lobe[ALPHA] > _0:
         return gx, gy, gz, _0, _0, _0
@@ -382,6 +386,9 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     if angled:
                         evaluate_from(scene, triangle, u, v, behind, uniform(seed, i, bounce, 4), rows, surface)
                     dr, dg, db = diffuse_albedo_average(surface)
+                    if surface[SHEEN_ROUGHNESS] != _0:
+                        more = lit_from(surface[SHEEN_ROUGHNESS], abs(cos_s)) - _1
+                        dr, dg, db = dr + more * surface[SHEEN], dg + more * surface[SHEEN + 1], db + more * surface[SHEEN + 2]
                     if angled and flags & TRANSLUCENT:
                         evaluate_from(scene, triangle, u, v, not behind, uniform(seed, i, bounce, 5), rows, surface)
                     tr, tg, tb = translucency_average(surface)

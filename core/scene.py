@@ -29,6 +29,7 @@ REMAINDER = "Remainder"
 # Flags of a material (`Materials.flags`).  ANGLED: its nodes ask for the side or the angle that it is seen from.  The last one is set for
 # views alone (core/view/mirrors.py).
 EMISSIVE, TRANSPARENT, GLOSSY_LOBE, CONSTANT, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, ANGLED, MIRRORING = 1, 2, 4, 8, 16, 32, 64, 128, 256
+FROSTED, COATED = 512, 1024
 
 
 @dataclass

@@ -225,7 +225,7 @@ def direct_stage(
             return light._replace(irradiance_by_glass=nothing, glossy_by_glass=nothing)
         return light
 
-    lobes = has_lobes(points) or bool(points.rough.any())  # what looks otherwise from other sides
+    lobes = has_lobes(points) or bool(points.rough.any() or points.sheen.any())  # what looks otherwise from other sides
     if settings.visibility == "shadow-maps" and len(point_lamps(tables.emitters)):
         mapped, kinds = direct_by_maps, (POINT, SPOT)
     elif settings.soft_shadows and len(area_lamps(tables.emitters)):

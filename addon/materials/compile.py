@@ -115,6 +115,8 @@ def _link(programs: list[Program], names: list[str], textures: TexturePool, warn
                 scene.EMISSIVE * (ops.EMISSION_CLOSURE in operations)
                 | scene.TRANSPARENT * bool(operations & _TRANSPARENT)
                 | scene.REFRACTIVE * bool(operations & _REFRACTIVE)
+                | scene.FROSTED * _is_frosted(program)
+                | scene.COATED * (ops.COAT_CLOSURE in operations)
                 | scene.GLOSSY_LOBE * bool(operations & _GLOSSY)
                 | scene.TRANSLUCENT * (ops.TRANSLUCENT_CLOSURE in operations)
                 | scene.ANGLED * bool(operations & _ANGLED)
@@ -124,6 +126,12 @@ def _link(programs: list[Program], names: list[str], textures: TexturePool, warn
     instructions = np.concatenate(code)
     functions = outlined.addresses({int(op) for op in instructions[:, 0]})
     return scene.MaterialTables(instructions, np.concatenate(constants), start, flags, constant, header, texels_u8, texels_f32, functions)
+
+
+def _is_frosted(program: Program) -> bool:
+    """Whether glass in it may be rough."""
+    lobes = [operands[1] for op, operands, _ in program.instructions if op in _REFRACTIVE]
+    return any(not isinstance(lobe, Constant) or lobe.x > 0 for lobe in lobes)
 
 
 def _constant_flags(surface: np.ndarray) -> int:

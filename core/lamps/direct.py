@@ -33,6 +33,7 @@ from ..surfaces.layout import EMISSION, SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count, set_lobe
 from ..surfaces.program import new_registers
 from ..surfaces.rough_diffuse import shape
+from ..surfaces.sheen import factors
 from ..surfaces.terminator import LOW, lift
 from ..surfaces.visibility import OUTSIDE, nearest_surface, transmittance1
 from ..threads import Progress, run_chunks
@@ -82,6 +83,8 @@ class Receivers(NamedTuple):
     turned: np.ndarray
     tilt: np.ndarray
     rough: np.ndarray
+    sheen: np.ndarray
+    gloss: np.ndarray
     entered: np.ndarray
     gathered: np.ndarray
     met: np.ndarray
@@ -412,6 +415,20 @@ def _unevenness(points, i, dx, dy, dz):
 
 
 @inlined
+def _is_sheen(points, i):
+    return len(points.sheen) > 0 and points.sheen[i, 3] != _0
+
+
+@inlined
+def _by_sheen(points, i, dx, dy, dz, r, g, b):
+    """Light (r, g, b) from d, as it counts at a point that `_is_sheen`."""
+    fr, fg, fb = factors(
+        points.sheen[i], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2], points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], dx, dy, dz
+    )
+    return fr * r, fg * g, fb * b
+
+
+@inlined
 def is_turned(points, i):
     """Whether the normals of point i differ, so that `highlights` are found apart."""
     for j in range(points.turned.shape[1]):
@@ -459,6 +476,8 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
     light, glossy, ray = rays.light[n], rays.glossy[n], rays.ray[n]
     cosine *= _unevenness(points, i, dx, dy, dz)
     light[0], light[1], light[2] = w * cosine * r, w * cosine * g, w * cosine * b
+    if _is_sheen(points, i):
+        light[0], light[1], light[2] = _by_sheen(points, i, dx, dy, dz, light[0], light[1], light[2])
     if block.lobe[k, ALPHA] > _0 and shine > _0 and not (emitters.flags[e] & SHARP and is_turned(points, i)):
         drawn = block.drawn[k] if across > _0 else np.int64(0)
         fr, fg, fb = _lobe_share(emitters, e, block.lobe[k], drawn, block.expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
@@ -640,6 +659,8 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
             density = _gather_density(points.gathered[i], cosine)
             w = cosine * _unevenness(points, i, dx, dy, dz) * share_of(density, aimed) / density
             r, g, b = w * r * surface[EMISSION], w * g * surface[EMISSION + 1], w * b * surface[EMISSION + 2]
+            if _is_sheen(points, i):
+                r, g, b = _by_sheen(points, i, dx, dy, dz, r, g, b)
             c = 3 * emitters.light_group[e]
             out[i, c] += clear * r
             out[i, c + 1] += clear * g
@@ -767,6 +788,7 @@ def set_point_lobe(points, i, lobe):
         lobe, points.ns[i, 0], points.ns[i, 1], points.ns[i, 2], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2],
         points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], points.roughness[i],
         points.f0[i, 0], points.f0[i, 1], points.f0[i, 2], points.f90[i, 0], points.f90[i, 1], points.f90[i, 2],
+        points.gloss[i, 0], points.gloss[i, 1], points.gloss[i, 2], points.gloss[i, 3],
     )  # fmt: skip
 
 
@@ -835,7 +857,7 @@ def direct_light(
         triangle = getattr(points, "triangle", np.full(len(points.position), -1, np.int32))
         receivers = Receivers(
             points.position, points.ns, points.ng, points.error, triangle, none, none, none, np.zeros(0, np.float32), none, spread,
-            np.zeros((0, 0, 3), np.float32), tilt, rough, entered, *others,
+            np.zeros((0, 0, 3), np.float32), tilt, rough, np.zeros((0, 4), np.float32), np.zeros((0, 4), np.float32), entered, *others,
         )  # fmt: skip
     receivers = Reference(receivers)
     n, columns = len(points.position), 3 * scene.emitters.light_groups

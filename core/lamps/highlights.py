@@ -50,6 +50,7 @@ def _highlights_chunk(scene, points, which, lamps, begin, end, seed, out):
         set_lobe(
             lobe, nx, ny, nz, gx, gy, gz, points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], points.roughness[i],
             points.f0[i, 0], points.f0[i, 1], points.f0[i, 2], points.f90[i, 0], points.f90[i, 1], points.f90[i, 2],
+            points.gloss[i, 0], points.gloss[i, 1], points.gloss[i, 2], points.gloss[i, 3],
         )  # fmt: skip
         if not lobe[ALPHA] > _0:
             continue

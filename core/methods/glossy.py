@@ -29,6 +29,7 @@ from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import (
     DIFFUSE,
     EMISSION,
+    GLOSS,
     GLOSSY_F0,
     GLOSSY_F90,
     NORMAL,
@@ -297,6 +298,8 @@ def _reflect_chunk(
             hits.ns[n_hits, 0], hits.ns[n_hits, 1], hits.ns[n_hits, 2] = nx, ny, nz
             hits.wo[n_hits, 0], hits.wo[n_hits, 1], hits.wo[n_hits, 2] = -dx, -dy, -dz
             hits.error[n_hits], hits.roughness[n_hits] = p_error, surface[ROUGHNESS]
+            for c in range(4):
+                hits.gloss[n_hits, c] = surface[GLOSS + c]
             hits.pixel[n_hits], hits.triangle[n_hits] = owner[i], triangle
             hits.entered[n_hits] = min(inside, 255)
             n_hits += 1

@@ -49,6 +49,7 @@ from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
+from ..surfaces.sheen import factors
 from ..surfaces.visibility import OUTSIDE, encloses, evaluate_along, nearest_surface, transmittance1
 from ..threads import Progress, part, run_chunks
 from ..transport import Transport, is_translucent
@@ -221,6 +222,20 @@ def _gathered(
             if triangle < 0:
                 continue
             wr, wg, wb = wr * tr, wg * tg, wb * tb
+        if points.sheen[k, 3] != _0:
+            fr, fg, fb = factors(
+                points.sheen[k],
+                points.ns[k, 0],
+                points.ns[k, 1],
+                points.ns[k, 2],
+                points.wo[k, 0],
+                points.wo[k, 1],
+                points.wo[k, 2],
+                dx,
+                dy,
+                dz,
+            )
+            wr, wg, wb = fr * wr, fg * wg, fb * wb
         if scene.materials.flags[scene.material[triangle]] & EMISSIVE:
             met[k, turn[lane] - first] |= SHINING
         x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
@@ -306,13 +321,25 @@ def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, li
         w = value[lane] * np.float32(3.0) / (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2])
         c = 3 * scene.emitters.light_group[vpls.emitter[j]]
         r, g, b = w * r * vpls.flux[j, 0], w * g * vpls.flux[j, 1], w * b * vpls.flux[j, 2]
-        out[k, c] += r
-        out[k, c + 1] += g
-        out[k, c + 2] += b
         if seen[lane, 0] >= _0:
             shown[k, c] += seen[lane, 0] * r
             shown[k, c + 1] += seen[lane, 1] * g
             shown[k, c + 2] += seen[lane, 2] * b
+        if points.sheen[k, 3] != _0:
+            dx, dy, dz = (
+                vpls.position[j, 0] - points.position[k, 0],
+                vpls.position[j, 1] - points.position[k, 1],
+                vpls.position[j, 2] - points.position[k, 2],
+            )
+            inverse = _1 / np.float32(math.sqrt(dx * dx + dy * dy + dz * dz))
+            fr, fg, fb = factors(
+                points.sheen[k], points.ns[k, 0], points.ns[k, 1], points.ns[k, 2], points.wo[k, 0], points.wo[k, 1], points.wo[k, 2],
+                inverse * dx, inverse * dy, inverse * dz,
+            )  # fmt: skip
+            r, g, b = fr * r, fg * g, fb * b
+        out[k, c] += r
+        out[k, c + 1] += g
+        out[k, c + 2] += b
 
 
 @leaf

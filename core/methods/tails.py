@@ -23,12 +23,26 @@ from ..references import Reference
 from ..sampling.hashing import uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE, GLOSSY, TRANSMISSION
-from ..surfaces import layout
+from ..surfaces import ggx, layout
 from ..surfaces.bumps import shadowing
-from ..surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TILT, WIDE, diffuse_albedo, glossy_rise, translucency
+from ..surfaces.layout import (
+    GLOSS,
+    GLOSSY_F0,
+    GLOSSY_F90,
+    ROUGHNESS,
+    SHEEN,
+    SHEEN_ROUGHNESS,
+    SURFACE,
+    TILT,
+    WIDE,
+    diffuse_albedo,
+    glossy_rise,
+    translucency,
+)
 from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, lobe_cosine, sample_lobe, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
+from ..surfaces.sheen import lit_from
 from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
 from ..threads import run_chunks
 from ..transport import Transport
@@ -63,6 +77,9 @@ def scatter_light(
     dr, dg, db = diffuse_albedo(surface, cosine)
     tr, tg, tb = translucency(surface, cosine)
     roughness, tilt = surface[ROUGHNESS], surface[TILT]
+    sheened, top = surface[SHEEN_ROUGHNESS], surface[GLOSS]
+    er, eg, eb = surface[GLOSS + 1], surface[GLOSS + 2], surface[GLOSS + 3]
+    hr, hg, hb = surface[SHEEN], surface[SHEEN + 1], surface[SHEEN + 2]
     f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
     f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]
     share = _1 / np.float32(lamp_rays)
@@ -88,8 +105,18 @@ def scatter_light(
             rise = glossy_rise(cosine, roughness)
             seen = _1 if scene.emitters.flags[e] & SEEN_BY_GLOSSY else _0
             fr, fg, fb = seen * r, seen * g, seen * b
-            fr, fg, fb = fr * (f0r + rise * (f90r - f0r)), fg * (f0g + rise * (f90g - f0g)), fb * (f0b + rise * (f90b - f0b))
-            r, g, b = lit * r * dr, lit * g * dg, lit * b * db
+            lr, lg, lb = f0r + rise * (f90r - f0r), f0g + rise * (f90g - f0g), f0b + rise * (f90b - f0b)
+            if er + eg + eb > _0:
+                dip = ggx.edge_dip(cosine, roughness)
+                lr = max(lr - er * dip * ggx.edge(f0r, f90r - f0r), _0)
+                lg = max(lg - eg * dip * ggx.edge(f0g, f90g - f0g), _0)
+                lb = max(lb - eb * dip * ggx.edge(f0b, f90b - f0b), _0)
+            fr, fg, fb = fr * lr, fg * lg, fb * lb
+            if sheened != _0:
+                more = lit_from(sheened, cosine) - _1
+                r, g, b = lit * r * (dr + more * hr), lit * g * (dg + more * hg), lit * b * (db + more * hb)
+            else:
+                r, g, b = lit * r * dr, lit * g * dg, lit * b * db
             if roughness < WIDE:
                 shine[i, c] += sheen * fr
                 shine[i, c + 1] += sheen * fg
@@ -99,7 +126,7 @@ def scatter_light(
         out[i, c] += r
         out[i, c + 1] += g
         out[i, c + 2] += b
-    set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b)
+    set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
     glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
     dull = _THIRD * (dr + dg + db) if diffuse else _0
     through = _THIRD * (tr + tg + tb)
@@ -213,6 +240,8 @@ def _tail_chunk(scene, cache, near, points, further, begin, end, bounces, seed, 
             surface[layout.DIFFUSE + c] = inverse * points.albedo[i, c]
             surface[GLOSSY_F0 + c], surface[GLOSSY_F90 + c] = inverse * points.f0[i, c], inverse * points.f90[i, c]
         surface[ROUGHNESS] = points.roughness[i]
+        for c in range(4):
+            surface[GLOSS + c] = points.gloss[i, c]
         path_light(
             scene, packet, rows, surface, lobe, cache, near, points.triangle[i], points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],

@@ -13,11 +13,17 @@ import numpy as np
 from ..jit import inlined, leaf
 from ..scene import CAMERA, GLOSSY, SHADOW, TRANSMISSION
 from ..scene import DIFFUSE as DIFFUSE_RAY
-from . import ggx
+from . import frosted, ggx
+from . import sheen as sheens
 from .layout import (
+    COAT,
+    COAT_F0,
+    COAT_ROUGHNESS,
     DIFFUSE,
     DIFFUSE_ROUGHNESS,
     EMISSION,
+    FROST,
+    GLOSS,
     GLOSSY_F0,
     GLOSSY_F90,
     LAYER_F0,
@@ -28,11 +34,18 @@ from .layout import (
     LAYERED_TRANSLUCENCY,
     REFRACTION,
     ROUGHNESS,
+    SHEEN,
+    SHEEN_ROUGHNESS,
     TRANSLUCENCY,
     TRANSPARENCY,
 )
 
 F = np.float32
+
+# Of the Glossy BSDF's distributions, beside 0 and 1.
+BECKMANN = 2
+# Times a Beckmann lobe's roughness: that of the GGX lobe whose normals have the same median slope, (ln 2)^(1/4).
+_BECKMANN_ROUGHNESS = F(0.9124)
 
 # Added to |cosine| where not the camera looks, but light that is reflected on (see `program.reflected_view`).
 REFLECTED = F(4)
@@ -70,15 +83,20 @@ def translucent(surface, r, g, b, layered, wr, wg, wb):
 
 
 @inlined
-def _add_glossy(surface, wr, wg, wb, r0, g0, b0, r90, g90, b90, roughness):
-    """Adds a glossy lobe by its albedos at normal and grazing incidence."""
+def _add_glossy(surface, wr, wg, wb, r0, g0, b0, r90, g90, b90, roughness, top, er, eg, eb):
+    """Adds a glossy lobe by its albedos at normal and grazing incidence; top, (er, eg, eb): as `layout.GLOSS`."""
     surface[GLOSSY_F0] += wr * r0
     surface[GLOSSY_F0 + 1] += wg * g0
     surface[GLOSSY_F0 + 2] += wb * b0
     surface[GLOSSY_F90] += wr * r90
     surface[GLOSSY_F90 + 1] += wg * g90
     surface[GLOSSY_F90 + 2] += wb * b90
-    surface[ROUGHNESS] += roughness * (wr * (r0 + r90) + wg * (g0 + g90) + wb * (b0 + b90))
+    weight = wr * (r0 + r90) + wg * (g0 + g90) + wb * (b0 + b90)
+    surface[ROUGHNESS] += roughness * weight
+    surface[GLOSS] += top * weight
+    surface[GLOSS + 1] += er * weight
+    surface[GLOSS + 2] += eg * weight
+    surface[GLOSS + 3] += eb * weight
 
 
 @inlined
@@ -95,6 +113,12 @@ def _darkening(mean_fresnel, roughness, multiple):
     if not multiple:
         return e
     return e + ggx.multiple_scattering(mean_fresnel, roughness) * (F(1) - e)
+
+
+@inlined
+def _top(reflectance, multiple):
+    """The first number of `layout.GLOSS`."""
+    return reflectance if multiple else -reflectance
 
 
 @inlined
@@ -135,7 +159,7 @@ def dielectric_over_diffuse(surface, r, g, b, roughness, ior, level, rough, mult
     surface[LAYER_ROUGHNESS] += covered * roughness
     surface[LAYER_MULTIPLE] += covered * fms
     d = _darkening(mean_fresnel, roughness, multiple)
-    _add_glossy(surface, wr * d, wg * d, wb * d, f0r, f0g, f0b, F(1), F(1), F(1), roughness)
+    _add_glossy(surface, wr * d, wg * d, wb * d, f0r, f0g, f0b, F(1), F(1), F(1), roughness, _top(F(1), multiple), F(0), F(0), F(0))
 
 
 @inlined
@@ -146,7 +170,8 @@ def metal(surface, r, g, b, roughness, multiple, tr, tg, tb, wr, wg, wb):
     wr *= _darkening(_f82_mean(r, tr), roughness, multiple)
     wg *= _darkening(_f82_mean(g, tg), roughness, multiple)
     wb *= _darkening(_f82_mean(b, tb), roughness, multiple)
-    _add_glossy(surface, wr, wg, wb, r, g, b, F(1), F(1), F(1), roughness)
+    er, eg, eb = F(1) - min(max(tr, F(0)), F(1)), F(1) - min(max(tg, F(0)), F(1)), F(1) - min(max(tb, F(0)), F(1))
+    _add_glossy(surface, wr, wg, wb, r, g, b, F(1), F(1), F(1), roughness, _top(F(1), multiple), er, eg, eb)
 
 
 @inlined
@@ -159,32 +184,43 @@ def _f82_mean(f0, tint):
 
 
 @inlined
-def glossy(surface, r, g, b, roughness, multiple, wr, wg, wb):
-    """Glossy BSDF: the same reflectance at every angle."""
+def glossy(surface, r, g, b, roughness, kind, wr, wg, wb):
+    """Glossy BSDF: the same reflectance at every angle.  kind: 1 for Multiscatter GGX, BECKMANN, else 0."""
     roughness = min(max(roughness, F(0)), F(1))
+    multiple = kind == 1
+    if kind == BECKMANN:  # without the long tails of GGX, whose middle is as bright where it is narrower, next to nothing is lost
+        roughness *= _BECKMANN_ROUGHNESS
+        r, g, b = max(r, F(0)), max(g, F(0)), max(b, F(0))
+        _add_glossy(surface, wr, wg, wb, r, g, b, r, g, b, roughness, F(1), F(0), F(0), F(0))
+        return
     r, g, b = max(r, F(0)), max(g, F(0)), max(b, F(0))
+    top = _top(min(max(r, g, b), F(1)), multiple)
     r *= _darkening(min(r, F(1)), roughness, multiple)
     g *= _darkening(min(g, F(1)), roughness, multiple)
     b *= _darkening(min(b, F(1)), roughness, multiple)
-    _add_glossy(surface, wr, wg, wb, r, g, b, r, g, b, roughness)
+    _add_glossy(surface, wr, wg, wb, r, g, b, r, g, b, roughness, top, F(0), F(0), F(0))
 
 
 @inlined
-def _through(surface, r, g, b, wr, wg, wb):
-    """Lets (r, g, b) straight through, as glass does."""
+def _through(surface, r, g, b, roughness, ior, thin, wr, wg, wb, cosine):
+    """Lets (r, g, b) straight through, as glass does, or about the straight way where it is rough."""
     add(surface, TRANSPARENCY, wr, wg, wb, r, g, b)
     add(surface, REFRACTION, wr, wg, wb, r, g, b)
+    if roughness > F(0):
+        passed = wr * max(r, F(0)) + wg * max(g, F(0)) + wb * max(b, F(0))
+        alpha = frosted.thin_alpha(roughness, ior) if thin else frosted.lobe_alpha(roughness, ior, view_cosine(cosine))
+        surface[FROST] += passed * alpha
 
 
 @inlined
-def refraction(surface, r, g, b, ior, wr, wg, wb, cosine):
-    """Refraction BSDF: lets (r, g, b) straight through, and keeps all where a view from within is reflected totally.
+def refraction(surface, r, g, b, roughness, ior, wr, wg, wb, cosine):
+    """Refraction BSDF: lets (r, g, b) through, about the straight way, and keeps all where a view from within is reflected totally.
 
     cosine: see `program.evaluate`.
     """
     if cosine <= -WITHIN and dielectric_fresnel(cosine, ior) >= F(1):
         return
-    _through(surface, r, g, b, wr, wg, wb)
+    _through(surface, r, g, b, min(max(roughness, F(0)), F(1)), ior, False, wr, wg, wb, cosine)
 
 
 @leaf
@@ -216,9 +252,33 @@ def _dielectric_albedo(f0, roughness, cosine):
     return ggx.layer_albedo(f0, z, roughness, F(1), view_cosine(cosine))
 
 
+@leaf
+def _kept_by_back(f0, ior, roughness, cosine, smooth):
+    """What the rough back of a pane keeps (0..1) of light that goes straight on to `cosine` (0..1) outside, beside what a smooth one keeps.
+
+    Of what it reflects totally, both sides of the pane let as much through in the end: m / (1 + m) leaves by the front.
+    """
+    within = np.sqrt(F(1) - (F(1) - cosine * cosine) / (ior * ior))
+    more = ggx.more_within(np.sqrt(np.sqrt(f0)), within, roughness)
+    return min(smooth + more / (F(1) + more), F(1))
+
+
+@leaf
+def _through_wall(color, reflected, ior, cosine):
+    """What both sides of a thin wall let through, of the colour that light has after going straight through it, by Cycles' sum over all its ways.
+
+    reflected: what one side reflects.  cosine: of the view (0..1).
+    """
+    within = np.sqrt(max(F(1) - (F(1) - cosine * cosine) / (ior * ior), F(1e-4)))
+    color = min(max(color, F(0)), F(1)) ** (F(1) / within)
+    passed = F(1) - reflected
+    again = reflected * color
+    return passed * passed * color / max(F(1) - again * again, F(1e-6)), color
+
+
 @inlined
 def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine):
-    """Glass: reflects its Fresnel term times (tr, tg, tb), lets the rest times (r, g, b) straight through.
+    """Glass: reflects its Fresnel term times (tr, tg, tb), lets the rest times (r, g, b) through, about the straight way.
 
     cosine: see `program.evaluate`.  Its back reflects what its front does, for a view that entered by the front was not bent there; one
     that began within may be reflected totally, unless the glass is a thin wall.
@@ -231,35 +291,46 @@ def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine
         f0 = f90 = _reflectance_within(ior, roughness, view_cosine(cosine))
         through -= f0
     elif ior != F(1):
-        through -= _dielectric_albedo(f0, roughness, cosine)
-    _through(surface, r, g, b, wr * through, wg * through, wb * through)
+        kept = _dielectric_albedo(f0, roughness, cosine)
+        if cosine < F(0) and roughness > F(0) and ior > F(1) and not thin:
+            kept = f0 = f90 = _kept_by_back(f0, ior, roughness, view_cosine(cosine), kept)
+        through -= kept
+        if thin:
+            c = view_cosine(cosine)
+            r, cr = _through_wall(r, kept, ior, c)
+            g, cg = _through_wall(g, kept, ior, c)
+            b, cb = _through_wall(b, kept, ior, c)
+            tr, tg, tb = max(tr, F(0)), max(tg, F(0)), max(tb, F(0))
+            _through(surface, r, g, b, roughness, ior, True, wr, wg, wb, cosine)
+            r, g, b = (
+                kept * (F(1) + cr * r) * tr,
+                kept * (F(1) + cg * g) * tg,
+                kept * (F(1) + cb * b) * tb,
+            )  # what the other side reflects, too
+            _add_glossy(surface, wr, wg, wb, r, g, b, r, g, b, roughness, F(1), F(0), F(0), F(0))
+            return
+    _through(surface, r, g, b, roughness, ior, thin != 0, wr * through, wg * through, wb * through, cosine)
     tr, tg, tb = max(tr, F(0)), max(tg, F(0)), max(tb, F(0))
     if ior != F(1):
-        _add_glossy(surface, wr, wg, wb, f0 * tr, f0 * tg, f0 * tb, f90 * tr, f90 * tg, f90 * tb, roughness)
+        _add_glossy(surface, wr, wg, wb, f0 * tr, f0 * tg, f0 * tb, f90 * tr, f90 * tg, f90 * tb, roughness, F(1), F(0), F(0), F(0))
 
 
 @inlined
-def sheen(surface, strength, roughness, tr, tg, tb, wr, wg, wb, cosine):
-    """Principled BSDF's sheen: adds its lobe, which counts as diffuse, and returns the weight of what lies below."""
-    albedo = max(strength, F(0)) * sheen_albedo(view_cosine(cosine), min(max(roughness, F(1e-3)), F(1)))
+def sheen(surface, strength, roughness, velvet, tr, tg, tb, wr, wg, wb, cosine):
+    """Principled BSDF's sheen: adds its lobe, which counts as diffuse, and returns the weight of what lies below; or an Ashikhmin velvet."""
+    roughness = min(max(roughness, F(1e-3)), F(1))
+    roughness = -roughness if velvet else roughness
+    if F(1) < abs(cosine) < REFLECTED:
+        albedo = strength * sheens.albedo_average(roughness)
+    else:
+        albedo = strength * sheens.albedo(view_cosine(cosine), roughness)
+    albedo = max(albedo, F(0))
     tr, tg, tb = albedo * max(tr, F(0)), albedo * max(tg, F(0)), albedo * max(tb, F(0))
     add(surface, DIFFUSE, wr, wg, wb, tr, tg, tb)
+    add(surface, SHEEN, wr, wg, wb, tr, tg, tb)
+    surface[SHEEN_ROUGHNESS] = roughness
     below = max(F(1) - max(tr, max(tg, tb)), F(0))
     return wr * below, wg * below, wb * below
-
-
-@inlined
-def sheen_albedo(cosine, roughness):
-    """Albedo of the microfibre sheen lobe (Zeltner, Burley and Chiang 2022).
-
-    MaterialX's Gaussian fit to their table; Cycles reads the table, from which the fit differs by at most 0.02.
-    """
-    x, y = cosine, max(roughness, F(0.01))
-    s = y * (F(0.0206607) + F(1.58491) * y) / (F(0.0379424) + y * (F(1.32227) + y))
-    m = y * (F(-0.193854) + y * (F(-1.14885) + y * (F(1.7932) - F(0.95943) * y * y))) / (F(0.046391) + y)
-    o = y * (F(0.000654023) + (F(-0.0207818) + F(0.119681) * y) * y) / (F(1.26264) + y * (F(-1.92021) + y))
-    t = (x - m) / s
-    return min(max(np.exp(F(-0.5) * t * t) / (s * F(2.5066283)) + o, F(0)), F(1))
 
 
 @inlined
@@ -275,7 +346,12 @@ def coat(surface, strength, roughness, ior, tr, tg, tb, wr, wg, wb, cosine):
     albedo = F(0)
     if ior > F(1):
         albedo = _dielectric_albedo(f0, roughness, cosine)
-        _add_glossy(surface, strength * wr, strength * wg, strength * wb, f0, f0, f0, F(1), F(1), F(1), roughness)
+        kept = strength * ggx.single_scattering_mean(roughness)  # what is scattered again is lost, if to no layer below
+        kr, kg, kb = kept * wr, kept * wg, kept * wb
+        _add_glossy(surface, kr, kg, kb, f0, f0, f0, F(1), F(1), F(1), roughness, F(1), F(0), F(0), F(0))
+        add(surface, COAT, kr, kg, kb, F(1), F(1), F(1))
+        surface[COAT_F0] += f0 * (kr + kg + kb)
+        surface[COAT_ROUGHNESS] += roughness * (kr + kg + kb)
     c = view_cosine(cosine)
     cos2 = F(0.5) if F(1) < abs(cosine) < REFLECTED else c * c
     below = min(max(F(1) - strength * albedo, F(0)), F(1))
@@ -339,10 +415,18 @@ def finish(surface):
         surface[LAYER_F0] = surface[LAYER_Z] = surface[LAYER_ROUGHNESS] = surface[LAYER_MULTIPLE] = F(0)
     if surface[LAYERED_TRANSLUCENCY] > F(0):
         surface[LAYERED_TRANSLUCENCY] /= surface[TRANSLUCENCY] + surface[TRANSLUCENCY + 1] + surface[TRANSLUCENCY + 2]
+    coat_weight = surface[COAT] + surface[COAT + 1] + surface[COAT + 2]
+    if coat_weight > F(0):
+        surface[COAT_F0] /= coat_weight
+        surface[COAT_ROUGHNESS] /= coat_weight
+    if surface[FROST] > F(0):
+        surface[FROST] /= surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
     glossy_weight = F(0)
     for k in range(6):
         glossy_weight += surface[GLOSSY_F0 + k]
     surface[ROUGHNESS] = surface[ROUGHNESS] / glossy_weight if glossy_weight > F(0) else F(0)
+    for k in range(4):
+        surface[GLOSS + k] = surface[GLOSS + k] / glossy_weight if glossy_weight > F(0) else F(0)
 
 
 __all__ = [

@@ -24,6 +24,9 @@ _S = 16  # nodes per axis of s: z (index of refraction), cosine, roughness
 _E = 32  # nodes per axis of E: cosine, roughness
 _RADII, _ANGLES = 32, 20  # quadrature over half of the disk of visible normals
 F = np.float32
+# Schlick's rise at 82 degrees, whose cosine is 1 / 7, and the inverse of c (1 - c)^6 there.
+SCHLICK_82 = F((6 / 7) ** 5)
+EDGE = F(7 / (6 / 7) ** 6)
 
 
 def ior_coordinate(ior: float) -> float:
@@ -86,6 +89,35 @@ def _table_s() -> np.ndarray:
     return np.stack([_mean(np.where(above, _fresnel_rise(cos_h, n), 0)) for n in iors]).astype(F)
 
 
+def _reflected_within(cos_h: np.ndarray, ior: float) -> np.ndarray:
+    """The dielectric Fresnel term from within: 1 beyond the critical angle."""
+    inverse = 1 / ior
+    root = inverse * inverse - 1 + cos_h * cos_h
+    g = np.sqrt(np.maximum(root, 0))
+    a = (g - cos_h) / (g + cos_h)
+    b = (cos_h * (g + cos_h) - 1) / (cos_h * (g - cos_h) + 1)
+    return np.where(root > 0, np.clip(0.5 * a * a * (1 + b * b), 0, 1), 1)
+
+
+def _table_within() -> np.ndarray:
+    """(16, 16, 16) over (z, cosine, roughness): by how much rough glass reflects more of what comes from within than smooth glass does."""
+    node = np.clip(np.arange(_S, dtype=F) / F(_S - 1), F(1e-4), F(1))
+    cos_h, _ = _visible_normals(node[None, :], node[:, None])
+    f0_quarter = np.clip(node, 1e-4, 0.99)
+    more = []
+    for ior in (1 + f0_quarter**2) / (1 - f0_quarter**2):
+        reflected = _mean(_reflected_within(cos_h, ior))
+        more.append(np.maximum(reflected - _reflected_within(node, ior)[:, None], 0))
+    return np.stack(more).astype(F)
+
+
+def _table_dip() -> np.ndarray:
+    """(16, 16) over (cosine, roughness): mean of c (1 - c)^6 over the cosines c of the visible normals with the view."""
+    node = np.clip(np.arange(_S, dtype=F) / F(_S - 1), F(1e-4), F(1))
+    cos_h, cos_out = _visible_normals(node[None, :], node[:, None])
+    return _mean(np.where(cos_out > 0, cos_h * (1 - cos_h) ** 6, 0)).astype(F)
+
+
 def _table_e() -> np.ndarray:
     """(32, 32) E over (cosine, roughness): mean of G2 / G1 over the visible normals."""
     node = np.clip(np.arange(_E, dtype=F) / F(_E - 1), F(1e-4), F(1))
@@ -128,6 +160,8 @@ def _means(s: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
 
 S_TABLE = _table_s()
 E_TABLE = _table_e()
+WITHIN_TABLE = _table_within()
+DIP_TABLE = _table_dip()
 E_MEAN, S_MEAN, SE_MEAN = _means(S_TABLE, E_TABLE)
 
 
@@ -155,6 +189,31 @@ def fresnel_rise(z, cosine, roughness):
     a = _lerp2(S_TABLE[k], i, t, j, r)
     b = _lerp2(S_TABLE[k + 1], i, t, j, r)
     return a + c * (b - a)
+
+
+@inlined
+def more_within(z, cosine, roughness):
+    """Share of light from within a rough surface of glass, at `cosine` in the glass, that it reflects and a smooth one does not."""
+    k, c = _cell(z, _S)
+    i, t = _cell(cosine, _S)
+    j, r = _cell(roughness, _S)
+    a = _lerp2(WITHIN_TABLE[k], i, t, j, r)
+    b = _lerp2(WITHIN_TABLE[k + 1], i, t, j, r)
+    return a + c * (b - a)
+
+
+@inlined
+def edge(f0, rise):
+    """By how much, times c (1 - c)^6, a black tint at 82 degrees (c = 1/7) lowers Schlick's term f0 + rise (1 - c)^5: there to 0 (Kutz et al. 2021)."""
+    return EDGE * (f0 + SCHLICK_82 * rise)
+
+
+@inlined
+def edge_dip(cosine, roughness):
+    """c (1 - c)^6 as a lobe sees it at `cosine`, c that of its visible normals with the view."""
+    i, t = _cell(cosine, _S)
+    j, r = _cell(roughness, _S)
+    return _lerp2(DIP_TABLE, i, t, j, r)
 
 
 @inlined

@@ -34,8 +34,17 @@ TILT = 29  # |cosine| of NORMAL and the surface's own, by which bumps shadow dif
 TRANSLUCENCY = 30  # rgb: diffuse transmittance, the same from both sides, before the dielectric lobe takes its share
 LAYERED_TRANSLUCENCY = 33  # the part (0..1) of TRANSLUCENCY under a dielectric lobe
 DIFFUSE_ROUGHNESS = 34  # of the diffuse reflection (see `rough_diffuse`), weighted by its albedo
-SURFACE = 35  # length
+FROST = 35  # alpha of the lobe, about the straight way, by which REFRACTION leaves; 0 for clear glass (see `frosted`)
+SHEEN = 36  # rgb: the part of DIFFUSE that is sheen (see `sheen`)
+SHEEN_ROUGHNESS = 39  # of the last sheen, below 0 for a velvet; 0 for none
+GLOSS = 40  # four numbers of the glossy lobes, weighted as ROUGHNESS, by which `lobes` knows what the albedos leave out: the largest reflectance
+# of a lobe by itself, below 0 where light scattered more than once is lost (0: 1, and none is), and, rgb, how far its tint at 82 degrees is from white
+COAT = 44  # rgb: the part of GLOSSY_F90 that is a coat's, whose lobe is apart from the others for those who look at it (see `bare`)
+COAT_F0 = 47  # its reflectance at normal incidence, over that at grazing incidence
+COAT_ROUGHNESS = 48
+SURFACE = 49  # length
 
+COAT_TOP = F(-1)  # the first number of `GLOSS` of a coat's lobe by itself; among others it counts as 1
 # Lobes at least as rough spread light about as a diffuse one does.
 WIDE = F(0.5)
 # z of an index of refraction of 1.5, whose Fresnel curve stands for all glossy lobes in means
@@ -108,11 +117,37 @@ def glossy_rise(cosine, roughness):
 def glossy_albedo(surface, cosine):
     """Glossy albedo (r, g, b) for a view at `cosine`."""
     s = glossy_rise(cosine, surface[ROUGHNESS])
-    return (
-        surface[GLOSSY_F0] + s * (surface[GLOSSY_F90] - surface[GLOSSY_F0]),
-        surface[GLOSSY_F0 + 1] + s * (surface[GLOSSY_F90 + 1] - surface[GLOSSY_F0 + 1]),
-        surface[GLOSSY_F0 + 2] + s * (surface[GLOSSY_F90 + 2] - surface[GLOSSY_F0 + 2]),
-    )
+    f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
+    upr, upg, upb = surface[GLOSSY_F90] - f0r, surface[GLOSSY_F90 + 1] - f0g, surface[GLOSSY_F90 + 2] - f0b
+    r, g, b = f0r + s * upr, f0g + s * upg, f0b + s * upb
+    er, eg, eb = surface[GLOSS + 1], surface[GLOSS + 2], surface[GLOSS + 3]
+    if er + eg + eb > F(0):
+        dip = ggx.edge_dip(cosine, surface[ROUGHNESS])
+        r = max(r - er * dip * ggx.edge(f0r, upr), F(0))
+        g = max(g - eg * dip * ggx.edge(f0g, upg), F(0))
+        b = max(b - eb * dip * ggx.edge(f0b, upb), F(0))
+    return r, g, b
+
+
+@leaf
+def bare(surface):
+    """Takes the coat's lobe away from the glossy lobes of a surface, whose roughness and `GLOSS` are then those of the others."""
+    coat = surface[COAT] + surface[COAT + 1] + surface[COAT + 2]
+    if not coat > F(0):
+        return
+    whole = F(0)
+    for k in range(6):
+        whole += surface[GLOSSY_F0 + k]
+    coat *= F(1) + surface[COAT_F0]
+    rest = whole - coat
+    if rest > F(1e-4) * whole:
+        surface[ROUGHNESS] = min(max((whole * surface[ROUGHNESS] - coat * surface[COAT_ROUGHNESS]) / rest, F(0)), F(1))
+        surface[GLOSS] = (whole * surface[GLOSS] - coat) / rest
+        for k in range(1, 4):
+            surface[GLOSS + k] *= whole / rest
+    for c in range(3):
+        surface[GLOSSY_F0 + c] = max(surface[GLOSSY_F0 + c] - surface[COAT_F0] * surface[COAT + c], F(0))
+        surface[GLOSSY_F90 + c] = max(surface[GLOSSY_F90 + c] - surface[COAT + c], F(0))
 
 
 @inlined

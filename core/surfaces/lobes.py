@@ -18,8 +18,8 @@ from . import ggx
 from .microfacet import SMALLEST_ALPHA, sample_reflection, smith_lambda
 
 # Columns: normal, direction to the viewer, its cosine, alpha (below 0: no lobe), reflectance at normal incidence, how
-# much it rises to grazing, index of refraction of the rise (0: Schlick), albedo (mean of the channels).
-NORMAL, VIEWER, COSINE, ALPHA, F0, RISE, IOR, ALBEDO, LOBE = 0, 3, 6, 7, 8, 11, 14, 15, 16
+# much it rises to grazing, index of refraction of the rise (0: Schlick), albedo (mean of the channels), how much it dips before the rim (`ggx.edge`).
+NORMAL, VIEWER, COSINE, ALPHA, F0, RISE, IOR, ALBEDO, DIP, LOBE = 0, 3, 6, 7, 8, 11, 14, 15, 16, 19
 
 # Lobes with less albedo than this cost nothing.
 NEGLIGIBLE = np.float32(1e-4)
@@ -41,6 +41,9 @@ _BLUR = np.float32(math.pi / 4)
 # A lobe gets all of its rays once this times its share of the reflected light is 1.
 _FULL = np.float32(3.0)
 _GRAZING = np.float32(0.01)
+_TINY = np.float32(1e-12)
+_WHOLE = np.float32(0.999)  # reflectances from here on are white, but for rounding
+_DIP_MEAN = np.float32(1 / 126)  # cosine-weighted mean of c (1 - c)^6, twice its integral times c
 
 
 @inlined
@@ -80,10 +83,10 @@ def lobe_cosine(nx, ny, nz, gx, gy, gz, ox, oy, oz):
 
 
 @kernel
-def set_lobe(row, nx, ny, nz, gx, gy, gz, ox, oy, oz, roughness, f0r, f0g, f0b, f90r, f90g, f90b):
+def set_lobe(row, nx, ny, nz, gx, gy, gz, ox, oy, oz, roughness, f0r, f0g, f0b, f90r, f90g, f90b, top=_0, er=_0, eg=_0, eb=_0):
     """Fill a row with the lobe of a surface: shading and geometric normal n and g and the view o on one side.
 
-    f0, f90: as `layout.GLOSSY_F0` and `GLOSSY_F90`, which hold the mean share that multiple scattering leaves.
+    f0, f90: as `layout.GLOSSY_F0` and `GLOSSY_F90`, which hold the mean share that multiple scattering leaves.  top, (er, eg, eb): as `layout.GLOSS`.
     """
     row[ALPHA] = -_1
     row[ALBEDO] = _0
@@ -101,13 +104,39 @@ def set_lobe(row, nx, ny, nz, gx, gy, gz, ox, oy, oz, roughness, f0r, f0g, f0b, 
     else:
         ior, z, mean_rise = _0, _SCHLICK_Z, _SCHLICK_MEAN
     single, mean = ggx.single_scattering(cosine, roughness), ggx.single_scattering_mean(roughness)
-    scale_r = _view_scale(f0r, f90r, mean_rise, single, mean)
-    scale_g = _view_scale(f0g, f90g, mean_rise, single, mean)
-    scale_b = _view_scale(f0b, f90b, mean_rise, single, mean)
+    if top < _0:
+        scale_r = scale_g = scale_b = _1 / mean
+    else:
+        if top == _0 or top > _WHOLE:
+            mean_r, mean_g, mean_b = (
+                _mean_fresnel(f0r, f90r, mean_rise),
+                _mean_fresnel(f0g, f90g, mean_rise),
+                _mean_fresnel(f0b, f90b, mean_rise),
+            )
+            if er + eg + eb > _0:
+                mean_r = max(mean_r - er * _DIP_MEAN * ggx.edge(f0r, f90r - f0r) / max(f90r, _TINY), _0)
+                mean_g = max(mean_g - eg * _DIP_MEAN * ggx.edge(f0g, f90g - f0g) / max(f90g, _TINY), _0)
+                mean_b = max(mean_b - eb * _DIP_MEAN * ggx.edge(f0b, f90b - f0b) / max(f90b, _TINY), _0)
+        else:  # what the albedos are of reflectances up to `top`: c -> w c mean / (1 - c (1 - mean)), inverted
+            mean_r, mean_g, mean_b = f0r + mean_rise * (f90r - f0r), f0g + mean_rise * (f90g - f0g), f0b + mean_rise * (f90b - f0b)
+            largest = max(highest, grazing)
+            own = top * max(mean_r, mean_g, mean_b) / largest
+            inverse = top * mean / (largest * (_1 - own * (_1 - mean)))
+            mean_r, mean_g, mean_b = inverse * mean_r, inverse * mean_g, inverse * mean_b
+            mean_r = mean_r / (mean + mean_r * (_1 - mean))
+            mean_g = mean_g / (mean + mean_g * (_1 - mean))
+            mean_b = mean_b / (mean + mean_b * (_1 - mean))
+        scale_r = _view_scale(mean_r, single, mean)
+        scale_g = _view_scale(mean_g, single, mean)
+        scale_b = _view_scale(mean_b, single, mean)
     f0r, f0g, f0b = f0r * scale_r, f0g * scale_g, f0b * scale_b
     up_r, up_g, up_b = f90r * scale_r - f0r, f90g * scale_g - f0g, f90b * scale_b - f0b
     s = ggx.fresnel_rise(z, cosine, roughness)
     albedo = single * _THIRD * (f0r + f0g + f0b + s * (up_r + up_g + up_b))
+    row[DIP] = row[DIP + 1] = row[DIP + 2] = _0
+    if er + eg + eb > _0:
+        row[DIP], row[DIP + 1], row[DIP + 2] = er * ggx.edge(f0r, up_r), eg * ggx.edge(f0g, up_g), eb * ggx.edge(f0b, up_b)
+        albedo -= single * _THIRD * ggx.edge_dip(cosine, roughness) * (row[DIP] + row[DIP + 1] + row[DIP + 2])
     if not albedo > NEGLIGIBLE:
         return
     row[NORMAL], row[NORMAL + 1], row[NORMAL + 2] = nx, ny, nz
@@ -119,10 +148,16 @@ def set_lobe(row, nx, ny, nz, gx, gy, gz, ox, oy, oz, roughness, f0r, f0g, f0b, 
 
 
 @inlined
-def _view_scale(f0, f90, mean_rise, single, mean):
-    """Share of light scattered more than once at this view, over the mean share that f0 and f90 hold already."""
-    f = min(f0 / max(f90, np.float32(1e-12)), _1)
+def _mean_fresnel(f0, f90, mean_rise):
+    """Mean reflectance of a lobe that is white at the rim."""
+    f = min(f0 / max(f90, _TINY), _1)
     f += mean_rise * (_1 - f)
+    return f
+
+
+@inlined
+def _view_scale(f, single, mean):
+    """Share of light scattered more than once at this view, of a lobe of the mean reflectance f, over the mean share that albedos hold already."""
     again = f * mean / (_1 - f * (_1 - mean))
     return (_1 + again * (_1 - single) / single) / (mean + again * (_1 - mean))
 
@@ -152,6 +187,19 @@ def _fresnel_rise(cosine, ior):
     return (_HALF * a * a * (_1 + b * b) - f0) / (_1 - f0)
 
 
+@inlined
+def _reflectance(row, cosine):
+    """The Fresnel term (r, g, b) at the cosine with a microfacet."""
+    rise = _fresnel_rise(cosine, row[IOR])
+    r, g, b = row[F0] + rise * row[RISE], row[F0 + 1] + rise * row[RISE + 1], row[F0 + 2] + rise * row[RISE + 2]
+    if row[DIP] + row[DIP + 1] + row[DIP + 2] > _0:
+        c = min(max(cosine, _0), _1)
+        x = _1 - c
+        dip = c * x * x * x * x * x * x
+        r, g, b = max(r - dip * row[DIP], _0), max(g - dip * row[DIP + 1], _0), max(b - dip * row[DIP + 2], _0)
+    return r, g, b
+
+
 @kernel
 def lobe_value(row, dx, dy, dz):
     """The lobe towards the unit direction d, times the cosine there -> (r, g, b in 1/sr, density of `sample_lobe`).
@@ -172,14 +220,9 @@ def lobe_value(row, dx, dy, dz):
     t = (cos_h * cos_h + (sx * sx + sy * sy + sz * sz) / a2) / length2
     d = _QUARTER * _1_PI / (a2 * t * t * row[COSINE])
     lambda_o, lambda_d = smith_lambda(row[COSINE], alpha), smith_lambda(cos_d, alpha)
-    rise = _fresnel_rise(_HALF * np.float32(math.sqrt(length2)), row[IOR])
+    r, g, b = _reflectance(row, _HALF * np.float32(math.sqrt(length2)))
     w = d / (_1 + lambda_o + lambda_d)
-    return (
-        w * (row[F0] + rise * row[RISE]),
-        w * (row[F0 + 1] + rise * row[RISE + 1]),
-        w * (row[F0 + 2] + rise * row[RISE + 2]),
-        d / (_1 + lambda_o),
-    )
+    return w * r, w * g, w * b, d / (_1 + lambda_o)
 
 
 @kernel
@@ -219,9 +262,9 @@ def flattened_lobe(row, along, across, dx, dy, dz):
     far = (whole - _1) / max(whole - kept, np.float32(1e-6))  # of the tails: the rest has some, too
     d = (_1 - far * kept) / (whole * fall * fall) + far / (tail * tail)
     d *= _QUARTER * _1_PI / (a2 * cos2 * cos2 * row[COSINE])
-    rise = _fresnel_rise(_HALF * np.float32(math.sqrt(length2)), row[IOR])
+    r, g, b = _reflectance(row, _HALF * np.float32(math.sqrt(length2)))
     w = d / (_1 + smith_lambda(row[COSINE], alpha) + smith_lambda(cos_d, alpha))
-    return w * (row[F0] + rise * row[RISE]), w * (row[F0 + 1] + rise * row[RISE + 1]), w * (row[F0 + 2] + rise * row[RISE + 2])
+    return w * r, w * g, w * b
 
 
 @kernel
@@ -237,8 +280,8 @@ def sample_lobe(row, u1, u2):
     if not w > _0:
         return dx, dy, dz, _0, _0, _0, _0
     if row[ALPHA] <= SMALLEST_ALPHA:
-        rise = _fresnel_rise(row[COSINE], row[IOR])
-        return dx, dy, dz, row[F0] + rise * row[RISE], row[F0 + 1] + rise * row[RISE + 1], row[F0 + 2] + rise * row[RISE + 2], MIRROR
+        r, g, b = _reflectance(row, row[COSINE])
+        return dx, dy, dz, r, g, b, MIRROR
     r, g, b, density = lobe_value(row, dx, dy, dz)
     inverse = _1 / max(density, np.float32(1e-20))
     return dx, dy, dz, r * inverse, g * inverse, b * inverse, density

@@ -54,12 +54,12 @@ VIEWER, LAMP_NORMAL, LAMP_INCOMING, LAMP_PLACE, OWN_ROWS = range(5)
     DIFFUSE_CLOSURE,  # colour a, roughness b.x
     EMISSION_CLOSURE,  # radiance a
     TRANSPARENT_CLOSURE,  # colour a
-    REFRACTION_CLOSURE,  # colour a, ior b.x
-    GLOSSY_CLOSURE,  # colour a, roughness b.x, p: multiple scattering
+    REFRACTION_CLOSURE,  # colour a, (roughness, ior) b
+    GLOSSY_CLOSURE,  # colour a, roughness b.x, p: distribution, see `closures.glossy`
     METAL_CLOSURE,  # colour a, roughness b.x, tint at 82 degrees c, p: multiple scattering
     GLASS_CLOSURE,  # colour a, (roughness, ior) b, tint of the reflection c, p: a thin wall
     DIELECTRIC_CLOSURE,  # base colour a, (roughness, ior, specular level, diffuse roughness) b, tint c, p: multiple scattering
-    SHEEN_CLOSURE,  # (weight, roughness) a, tint b; the result is the weight of what lies below
+    SHEEN_CLOSURE,  # (weight, roughness) a, tint b, p: a velvet; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
     NORMAL_MAP,  # world-space normal a; p: as for bumps on a surface of normal b, diffuse light is shadowed
     # -- bumps --
@@ -210,7 +210,7 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
         elif op == TRANSPARENT_CLOSURE:
             closures.add(surface, TRANSPARENCY, dx, dy, dz, ax, ay, az)
         elif op == REFRACTION_CLOSURE:
-            closures.refraction(surface, ax, ay, az, bx, dx, dy, dz, cosine)
+            closures.refraction(surface, ax, ay, az, bx, by, dx, dy, dz, cosine)
         elif op == GLOSSY_CLOSURE:
             closures.glossy(surface, ax, ay, az, bx, p, dx, dy, dz)
         elif op == METAL_CLOSURE:
@@ -220,7 +220,7 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
         elif op == DIELECTRIC_CLOSURE:
             closures.dielectric_over_diffuse(surface, ax, ay, az, bx, by, bz, rows[ib, 3], p, cx, cy, cz, dx, dy, dz)
         elif op == SHEEN_CLOSURE:
-            x, y, z = closures.sheen(surface, ax, ay, bx, by, bz, dx, dy, dz, cosine)
+            x, y, z = closures.sheen(surface, ax, ay, p, bx, by, bz, dx, dy, dz, cosine)
         elif op == COAT_CLOSURE:
             x, y, z = closures.coat(surface, ax, ay, az, bx, by, bz, dx, dy, dz, cosine)
         elif op == NORMAL_MAP:

@@ -26,12 +26,14 @@ class ShadingPoints(NamedTuple):
         diffuse radiance is the sum of albedo * irradiance / pi over its points.
     wo: (N, 3) float32, unit, towards the viewer.
     f0, f90: (N, 3), roughness: (N,) float32, Schlick's glossy lobe (f0 and f90 times the share of the pixel).
+    gloss: (N, 4) float32, `layout.GLOSS`.
     behind_glass: (N,) uint8, 1 where the view passes glass: the pixel shows all light of the point as transmitted light.
     spread: (N, SPREAD, 3) float32, where else the pixel shows the surface, as offsets from the position (m); 0 for nowhere.
     turned: (N, 3, 3) float32, where a glossy pixel shows a surface that turns: its mean shading normal less the point's, then the half axes of the
         rectangle of slopes about it that the pixel's normals fill, each as long as it is wide; else 0.
     tilt: (N,) float32, `layout.TILT` where bumps shadow the light, whose mean is in `albedo`; else 0.
     rough: (N,) float32, `layout.DIFFUSE_ROUGHNESS`.
+    sheen: (N, 4) float32, the part (0..1, rgb) of the albedo that is a lobe of `surfaces.sheen`, and its roughness; 0 for none.
     shown: (N,) uint8, 1 where the surfaces that the lobe shows have points of their own, so that it has to find nothing but what shines.
     entered: (N,) uint8, of the back of glass: solids of glass that the view is in by their fronts (see `surfaces.visibility`), and what the lobe shows too.
     """
@@ -52,17 +54,19 @@ class ShadingPoints(NamedTuple):
     turned: np.ndarray
     tilt: np.ndarray
     rough: np.ndarray
+    sheen: np.ndarray
+    gloss: np.ndarray
     shown: np.ndarray
     entered: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> ShadingPoints:
-        """Room for n points, not set but for `behind_glass`, `spread`, `turned`, `tilt`, `rough`, `shown` and `entered`, which are 0."""
+        """Room for n points, not set but for `behind_glass`, `spread`, `turned`, `tilt`, `rough`, `sheen`, `gloss`, `shown` and `entered`, which are 0."""
         f, e = np.float32, np.empty
         return ShadingPoints(
             e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32),
             e((n, 3), f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f), np.zeros(n, np.uint8), np.zeros((n, SPREAD, 3), f), np.zeros((n, 3, 3), f),
-            np.zeros(n, f), np.zeros(n, f), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
+            np.zeros(n, f), np.zeros(n, f), np.zeros((n, 4), f), np.zeros((n, 4), f), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
         )  # fmt: skip
 
     def take(self, index) -> ShadingPoints:

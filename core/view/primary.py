@@ -25,8 +25,9 @@ from ..rays.packet import WIDTH, new_packet
 from ..references import Reference
 from ..sampling.hashing import uniform
 from ..sampling.maps import orthonormal_basis
-from ..scene import CAMERA, GLOSSY, TRANSLUCENT, Scene
-from ..surfaces.layout import SURFACE
+from ..scene import CAMERA, COATED, FROSTED, TRANSLUCENT, Scene
+from ..surfaces.frosted import seen_through
+from ..surfaces.layout import COAT_TOP, SURFACE
 from ..surfaces.program import new_registers, with_viewer
 from ..threads import Progress, run_chunks
 from .camera import camera_tables
@@ -35,15 +36,22 @@ from .mirrors import with_mirrors
 from .points import SPREAD, ShadingPoints
 from .tile import (
     ALBEDO,
+    BEYOND,
     CLEAR,
     DEPTH,
     EMITTED,
     ERROR,
     FACING,
     G_ALBEDO,
+    G_COAT,
+    G_COAT_F0,
+    G_COAT_ROUGHNESS,
     G_F0,
     G_F90,
+    G_FROST,
+    G_GLOSS,
     G_ROUGHNESS,
+    G_THROUGH,
     G_TRANSLUCENCY,
     GLASS,
     MEAN_NORMALS,
@@ -54,11 +62,14 @@ from .tile import (
     POSITION,
     ROUGH,
     SHADED,
+    SHEENED,
+    SURFACES,
     TILE,
     TILTED,
     WORLD_DEPTH,
     add_rows,
     clear_tile,
+    is_scattered,
     new_tile,
     pick_varied,
     trace_samples,
@@ -69,6 +80,7 @@ WIDEST = np.float32(0.5)  # half width, as a tangent: beyond it a pixel shows mo
 LEAST_MEMBERS = 4  # samples of a surface that tell how its normals are spread
 FLAT = np.float32(1e-9)  # squared distance of shading and geometric normal, at most, of a flat face
 SAME_FACET = np.float32(0.97)  # cosine of facets' normals that are lit alike, at least
+REFLECTING, COAT_POINTS, TRANSLUCENT_POINTS, FROSTED_POINTS = 0, 1, 2, 3  # kinds of shading points, in the order in which they are made
 EVEN = 4  # samples a pixel: fewer tell too little of what varies, and every pixel has the same
 
 
@@ -159,7 +171,7 @@ def _mirrored_light(tile, lane, begin, end):
     """What the surfaces that a pixel shows by way of mirrors send, by the columns begin..end-1 of their sums; 0 where they are few."""
     number, light = 0, np.float32(0.0)
     for k in range(tile.groups[lane]):
-        if tile.kinds[lane, tile.first[lane, k]] == GLOSSY:
+        if is_scattered(tile, lane, tile.first[lane, k]):
             sent = np.float32(0.0)
             for c in range(begin, end):
                 sent += tile.group[lane, k, c]
@@ -223,10 +235,11 @@ def _turn(sample, member, members, chosen, turned):
 
 
 @leaf
-def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n_points):
+def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points):
     """Makes shading points of the surfaces that a pixel of the tile shows; how many there are then.
 
-    number: of the pixel in the full frame.  transmitted: they are lit from the side that is not seen, and have no lobes.
+    number: of the pixel in the full frame.  turn: REFLECTING, COAT_POINTS, with the lobe of a coat alone, or, lit from the side that is not seen, TRANSLUCENT_POINTS, without lobes, or FROSTED_POINTS, with
+    a lobe alone, that of a mirror whose image is what lies behind.
     member: (R,) int32, scratch.
     """
     sample, group = tile.sample[lane], tile.group[lane]
@@ -234,9 +247,14 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
     share = np.float32(1.0) / np.float32(tile.taken[lane])
     side, lobe = np.float32(1.0), np.float32(1.0)
     albedo, upto = G_ALBEDO, G_ROUGHNESS
-    if transmitted:
-        side, lobe = np.float32(-1.0), np.float32(0.0)
+    if turn == TRANSLUCENT_POINTS:
         albedo, upto = G_TRANSLUCENCY, G_TRANSLUCENCY + 3
+    elif turn == FROSTED_POINTS:
+        albedo, upto = G_THROUGH, G_THROUGH + 3
+    elif turn == COAT_POINTS:
+        albedo, upto = G_COAT, G_COAT + 3
+    if turn >= TRANSLUCENT_POINTS:
+        side, lobe = np.float32(-1.0), np.float32(0.0)
     step = _mirrored_light(tile, lane, albedo, upto) / np.float32(MOST_MIRRORED)
     start, seen = uniform(seed, number, 0, 2), np.float32(0.0)
     for k in range(tile.groups[lane]):
@@ -246,7 +264,7 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
         if not sent > 0:  # black: no light would show
             continue
         weight = share
-        if step > 0 and tile.kinds[lane, tile.first[lane, k]] == GLOSSY:
+        if step > 0 and is_scattered(tile, lane, tile.first[lane, k]):
             # Picked as often as one of the steps from `start` on falls into its part of the light.
             picks = math.ceil((seen + sent) / step - start) - math.ceil(seen / step - start)
             seen += sent
@@ -277,6 +295,19 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
             points.albedo[i, c] = weight * group[k, albedo + c]
             points.f0[i, c] = lobe * weight * group[k, G_F0 + c]
             points.f90[i, c] = lobe * weight * group[k, G_F90 + c]
+        if turn == FROSTED_POINTS:
+            points.wo[i, 0], points.wo[i, 1], points.wo[i, 2] = seen_through(
+                sample[best, SHADED], sample[best, SHADED + 1], sample[best, SHADED + 2], points.wo[i, 0], points.wo[i, 1], points.wo[i, 2]
+            )
+            for c in range(3):
+                points.f0[i, c] = points.f90[i, c] = points.albedo[i, c]
+                points.albedo[i, c] = np.float32(0.0)
+        if turn == COAT_POINTS:
+            light = group[k, G_COAT] + group[k, G_COAT + 1] + group[k, G_COAT + 2]
+            for c in range(3):
+                points.f0[i, c] = group[k, G_COAT_F0] / light * points.albedo[i, c]
+                points.f90[i, c] = points.albedo[i, c]
+                points.albedo[i, c] = np.float32(0.0)
         points.error[i] = sample[best, ERROR]
         for j in range(SPREAD):
             other = member[(chosen + (j + 1) * members // (SPREAD + 1)) % members]
@@ -285,16 +316,30 @@ def _shade(tile, lane, most, seed, number, pixel, transmitted, member, points, n
             points.error[i] = max(points.error[i], sample[other, ERROR])
             for c in range(3):
                 points.spread[i, j, c] = sample[other, PLACE + c] - sample[best, PLACE + c]
-        if points.f0[i, 0] + points.f0[i, 1] + points.f0[i, 2] + points.f90[i, 0] + points.f90[i, 1] + points.f90[i, 2] > 0:
+        shine = points.f0[i, 0] + points.f0[i, 1] + points.f0[i, 2] + points.f90[i, 0] + points.f90[i, 1] + points.f90[i, 2]
+        if shine > 0 and turn <= COAT_POINTS:  # the straight way through glass knows no normal
             _turn(sample, member, members, chosen, points.turned[i])
         points.pixel[i] = pixel
         points.triangle[i] = triangles[lane, best, 0]
         points.roughness[i] = group[k, G_ROUGHNESS] / group[k, MEMBERS]
+        if turn == REFLECTING:
+            for c in range(4):
+                points.gloss[i, c] = group[k, G_GLOSS + c] / group[k, MEMBERS]
+        elif turn == COAT_POINTS:
+            points.roughness[i], points.gloss[i, 0] = group[k, G_COAT_ROUGHNESS] / light, COAT_TOP
         points.behind_glass[i] = tile.glass[lane, best] > 0
-        points.tilt[i] = np.float32(0.0) if transmitted else sample[best, TILTED]
-        points.rough[i] = np.float32(0.0) if transmitted else sample[best, ROUGH]
+        points.tilt[i] = sample[best, TILTED] if turn == REFLECTING else np.float32(0.0)
+        points.rough[i] = sample[best, ROUGH] if turn == REFLECTING else np.float32(0.0)
+        if turn == REFLECTING and sample[best, SHEENED + 3] != 0:
+            for c in range(4):
+                points.sheen[i, c] = sample[best, SHEENED + c]
         points.shown[i] = tile.shown[lane, best] > 0
         points.entered[i] = min(tile.entered[lane, best], 255)
+        if turn == FROSTED_POINTS:
+            light = group[k, G_THROUGH] + group[k, G_THROUGH + 1] + group[k, G_THROUGH + 2]
+            points.roughness[i] = np.float32(math.sqrt(group[k, G_FROST] / light))
+            points.shown[i] = tile.through[lane, best] == SURFACES
+            points.entered[i] = np.uint8(min(sample[best, BEYOND], np.float32(255)))
     return n_points
 
 
@@ -309,9 +354,9 @@ def _view_tiles(
     Returns the number of points and of rays.
     """
     light_groups = (layers.shape[1] - EMITTED) // (3 * GLASS)
-    translucent = False
+    some = 0
     for flags in materials.flags:
-        translucent = translucent or flags & TRANSLUCENT != 0
+        some |= flags
     x0, y0, x1, y1 = camera.border[0], camera.border[1], camera.border[2], camera.border[3]
     # Tiles lie on the full frame: what varies beside a pixel is the same for any border.
     left, top = x0 // TILE, y0 // TILE
@@ -375,13 +420,19 @@ def _view_tiles(
             for c in range(3):
                 out[NORMALS + c], out[POSITION + c] = sample[nearest, SHADED + c], sample[nearest, PLACE + c]
             out[DEPTH] = tile.depth[lane, nearest]
-        for turn in range(2 if translucent else 1):
+        for turn in range(4):
+            if (
+                (turn == COAT_POINTS and not some & COATED)
+                or (turn == TRANSLUCENT_POINTS and not some & TRANSLUCENT)
+                or (turn == FROSTED_POINTS and not some & FROSTED)
+            ):
+                continue
             # Light from the other side comes last: neighbours that are lit from one side follow each other.
             for lane in range(WIDTH):
                 px, py = tx + lane % TILE, ty + lane // TILE
                 if px >= x0 and px < x1 and py >= y0 and py < y1:
                     pixel = (py - y0) * (x1 - x0) + (px - x0)
-                    n_points = _shade(tile, lane, most, seed, py * camera.size[0] + px, pixel, turn == 1, member, points, n_points)
+                    n_points = _shade(tile, lane, most, seed, py * camera.size[0] + px, pixel, turn, member, points, n_points)
     return n_points, n_rays
 
 
@@ -420,7 +471,7 @@ def view(
     offsets = film.offsets()
     seen_by = scene.world.visibility & ~CAMERA if film.transparent else scene.world.visibility
 
-    sides = 2 if (scene.materials.tables.flags & TRANSLUCENT).any() else 1
+    sides = 1 + sum((scene.materials.tables.flags & flag).any() for flag in (COATED, TRANSLUCENT, FROSTED))
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * WIDTH * (1 + PANES) * most * sides)

@@ -3,6 +3,10 @@
 A tile's samples come in two turns.  The first ones tell which pixels hold edges, holes, textures or lamps; their neighbours get more.  Were a
 pixel's own samples asked, those that by chance miss a thin thing would never be joined by others, and thin things would fade.
 
+Frosted glass shows what lies behind it as a mirror does: by a lobe about the straight way (`surfaces.frosted`), which is the pane's own.  Where
+the glass is only a little rough, samples go on by rays drawn from the lobe and the surfaces that they meet get points of their own; else they only look
+whether further surfaces of rough glass follow, whose blur the lobe takes on.
+
 Surfaces with transparency are passed through at random, with exact weights, as Cycles does, by numbers that are even over a pixel's
 samples.  At the first surfaces of glass, and the first that is not, nothing is left to chance: a sample shows both what they
 reflect and what lies behind.  So it is at mirrors: a sample shows both their own colour and, by a ray drawn from the lobe, what they show, which gets shading points of its own as what lies behind glass does.
@@ -10,6 +14,7 @@ reflect and what lies behind.  So it is at mirrors: a sample shows both their ow
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -22,19 +27,28 @@ from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, set_ray
 from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import hash_key, to_unit, uniform
-from ..scene import CAMERA, GLOSSY, MIRRORING, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, TRANSMISSION, TRANSPARENT
+from ..scene import CAMERA, COATED, FROSTED, GLOSSY, MIRRORING, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
 from ..surfaces.bumps import mean_shadowing
+from ..surfaces.frosted import joined_alpha, seen_through
 from ..surfaces.layout import (
+    COAT,
+    COAT_F0,
+    COAT_ROUGHNESS,
     DIFFUSE_ROUGHNESS,
     EMISSION,
+    FROST,
+    GLOSS,
     GLOSSY_F0,
     GLOSSY_F90,
     NORMAL,
     REFRACTION,
     ROUGHNESS,
+    SHEEN,
+    SHEEN_ROUGHNESS,
     TILT,
     TRANSPARENCY,
+    bare,
     diffuse_albedo,
     diffuse_color,
     glossy_albedo,
@@ -42,6 +56,7 @@ from ..surfaces.layout import (
     translucency,
 )
 from ..surfaces.lobes import ALPHA, LOBE, lobe_cosine, sample_lobe, set_lobe
+from ..surfaces.microfacet import SMALLEST_ALPHA
 from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import evaluate, from_within, specular_view
 from ..surfaces.visibility import passed_glass
@@ -69,12 +84,28 @@ ALBEDO, NORMALS, MEAN_NORMALS, POSITION, DEPTH, CLEAR, EMITTED = 0, 3, 6, 9, 12,
 GLASS = 3  # kinds of what is emitted: behind no glass, one surface of it, and more
 # Bits of the way that a sample takes at a surface: it shows it, passes straight through, passes through glass, is reflected.
 SHOWN, STRAIGHT, REFRACTED, REFLECTED = 1, 2, 4, 8
+LOOKING = SHOWN | 16  # shows a pane of frosted glass, whose lobe shows all that lies behind, and looks for more of it
 SURFACES, ALL_LIGHT = 1, 2  # what rows of their own show of a mirror's lobe
 # Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
-PLACE, ERROR, FACING, SHADED, TILTED, ROUGH, SAMPLE = 0, 3, 4, 7, 10, 11, 12
-MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY = 0, 1, 4, 7, 10, 11
+PLACE, ERROR, FACING, SHADED, TILTED, ROUGH, BEYOND, SHEENED, SAMPLE = 0, 3, 4, 7, 10, 11, 12, 13, 17
+MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY, G_THROUGH, G_FROST, G_GLOSS, G_COAT, G_COAT_F0, G_COAT_ROUGHNESS, G_COLUMNS = (
+    0,
+    1,
+    4,
+    7,
+    10,
+    11,
+    14,
+    17,
+    18,
+    22,
+    25,
+    26,
+    27,
+)
 _GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
 FINEST = np.float32(1e-3)  # shares of the samples below which what is left of their choice has too few bits
+FAINT = np.float32(1e-12)  # albedo of which no share can be told
 BELOW_ONE = np.float32(1 - 2**-24)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -92,16 +123,18 @@ class Tile(NamedTuple):
     entered: (16, R) int32, solids of glass that the view has entered before and not left (see `surfaces.visibility`).
     kinds: (16, R) int32, of the ray that met it.  shining: (16, R) uint8, whether what shines there counts, which other rays may find.
     shown: (16, R) uint8, `SURFACES` where these, and `ALL_LIGHT` where also what shines in its lobe has a row of its own.
+    frost: (16, R) float32, width of the lobe in which a row of frosted glass shows what lies behind it, 0 for none; through: (16, R) uint8, as shown, of that lobe.
     lamps: (16, GLASS, G, 3) float32, light of the lamps in view, summed over the samples, by the surfaces of glass before it.
     out: (16, C) float32, sums of the pixels' layers.  nearest: (16,) int32, the row nearest to the camera, -1 for none.
-    sample: (16, R, SAMPLE) float32, position, its error, geometric and shading normal, tilt and diffuse roughness of each row.  group_of: (16, R) int32, which of the
+    sample: (16, R, SAMPLE) float32, position, its error, geometric and shading normal, tilt and diffuse roughness of each row, solids of glass that a view is in beyond it, and `ShadingPoints.sheen`.  group_of: (16, R) int32, which of the
     pixel's surfaces it shows, -1 for none.  groups: (16,) int32, how many there are.  first: (16, R) int32, the first row of each.
-    group: (16, R, 14) float32, rows of each, sums of albedo, f0, f90, roughness and translucency.
+    group: (16, R, G_COLUMNS) float32, rows of each, sums of albedo, f0, f90, roughness, translucency, of what frosted glass lets through, of that by its lobe's width, of `layout.GLOSS`, and of coats and of them by their numbers.
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
     origin: (16, 3), passed: (16,) float32, of the rays of a packet.  axial, before: (16,) float32, depth (m) by a meter of it, and before its origin.
     choice: (16, 2) float32, a uniform number for the next surface with transparency, and the share of all samples among which it is even.
     shown_by: (16, R) int32, triangle of the mirror or the glass through which a row is seen, -1 for none.
     parted: (16,) int32, whether the sample shows a surface without glass as well as what lies behind it.
+    frosted: (16,) int32, the row whose lobe shows what the sample meets, -1 for none.  looking: (16,) uint8, whether the sample only looks for more glass.
     every: (A,) int32, all lamps.  lobe: (LOBE,) float32, scratch.
     """
 
@@ -116,6 +149,8 @@ class Tile(NamedTuple):
     kinds: np.ndarray
     shining: np.ndarray
     shown: np.ndarray
+    frost: np.ndarray
+    through: np.ndarray
     lamps: np.ndarray
     out: np.ndarray
     nearest: np.ndarray
@@ -132,6 +167,8 @@ class Tile(NamedTuple):
     before: np.ndarray
     choice: np.ndarray
     parted: np.ndarray
+    frosted: np.ndarray
+    looking: np.ndarray
     every: np.ndarray
     lobe: np.ndarray
     shown_by: np.ndarray
@@ -144,12 +181,13 @@ def new_tile(samples, light_groups, lamps):
     return Tile(
         np.zeros(WIDTH, i), np.zeros(WIDTH, i), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f), np.empty((WIDTH, rows, 3), f),
         np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows), i),
-        np.empty((WIDTH, rows), np.uint8), np.empty((WIDTH, rows), np.uint8),
+        np.empty((WIDTH, rows), np.uint8), np.empty((WIDTH, rows), np.uint8), np.empty((WIDTH, rows), f), np.empty((WIDTH, rows), np.uint8),
         np.empty((WIDTH, GLASS, light_groups, 3), f),
         np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, SAMPLE), f),
-        np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, 14), f),
+        np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, G_COLUMNS), f),
         np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f), np.empty(WIDTH, f), np.empty(WIDTH, f),
-        np.empty((WIDTH, 2), f), np.empty(WIDTH, i), np.arange(lamps).astype(i), np.empty(LOBE, f), np.empty((WIDTH, rows), i),
+        np.empty((WIDTH, 2), f), np.empty(WIDTH, i), np.empty(WIDTH, i), np.empty(WIDTH, np.uint8), np.arange(lamps).astype(i), np.empty(LOBE, f),
+        np.empty((WIDTH, rows), i),
     )  # fmt: skip
 
 
@@ -259,6 +297,7 @@ def _reflected(materials, geometry, material, triangle, u, v, dx, dy, dz, kind, 
     set_lobe(
         lobe, sx, sy, sz, gx, gy, gz, -dx, -dy, -dz, surface[ROUGHNESS],
         surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2], surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2],
+        surface[GLOSS], surface[GLOSS + 1], surface[GLOSS + 2], surface[GLOSS + 3],
     )  # fmt: skip
     if not lobe[ALPHA] > _0:
         return False, x, y, z, dx, dy, dz, _0, _0, _0
@@ -267,6 +306,23 @@ def _reflected(materials, geometry, material, triangle, u, v, dx, dy, dz, kind, 
         return True, x, y, z, dx, dy, dz, _0, _0, _0
     x, y, z = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
     return True, x, y, z, dx, dy, dz, r, g, b
+
+
+@leaf
+def _scattered(materials, geometry, material, triangle, u, v, dx, dy, dz, u1, u2, surface, lobe):
+    """How a sample along d goes on through frosted glass, whose `surface` is evaluated: (origin, direction, weight), with weight 0 for nowhere."""
+    x, y, z, gx, gy, gz, error = hit_point(geometry.vertices, geometry.triangles, triangle, u, v)
+    sx, sy, sz = shading_normal(geometry.corner_normals, triangle, u, v, gx, gy, gz)
+    sx, sy, sz = mapped_normal(materials, material, surface, sx, sy, sz)
+    if gx * dx + gy * dy + gz * dz < _0:
+        gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+    wx, wy, wz = seen_through(sx, sy, sz, -dx, -dy, -dz)
+    set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, np.float32(math.sqrt(surface[FROST])), _1, _1, _1, _1, _1, _1)
+    dx, dy, dz, w, _, _, _ = sample_lobe(lobe, u1, u2)
+    if gx * dx + gy * dy + gz * dz <= _0:
+        return x, y, z, dx, dy, dz, _0
+    x, y, z = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
+    return x, y, z, dx, dy, dz, w
 
 
 @inlined
@@ -336,11 +392,13 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
         depth[pixel, s] = WORLD_DEPTH
         glass[pixel, s] = entered[pixel, s] = 0
         kinds[pixel, s] = CAMERA
-        tile.shown[pixel, s] = 0
+        tile.shown[pixel, s] = tile.through[pixel, s] = 0
         tile.shown_by[pixel, s] = -1
+        tile.frost[pixel, s] = _0
         tile.shining[pixel, s] = 1
         passed[lane] = _0
-        tile.parted[lane] = 0
+        tile.parted[lane] = tile.looking[lane] = 0
+        tile.frosted[lane] = -1
         tile.choice[lane, 0], tile.choice[lane, 1] = _choice(s, seed, py * camera.size[0] + px), _1
         tile.axial[lane] = -(dx * camera.matrix[0, 2] + dy * camera.matrix[1, 2] + dz * camera.matrix[2, 2])
         tile.before[lane] = camera.clip[0]
@@ -356,7 +414,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
             pixel, s = lanes[lane, 0], lanes[lane, 1]
             mirrored = kinds[pixel, s] == GLOSSY
             n_met = len(tile.every) if mirrored else n_lamps
-            if n_met > 0 and tile.shining[pixel, s]:
+            if n_met > 0 and tile.shining[pixel, s] and not tile.looking[lane]:
                 end = hit_t(packet, lane) if triangle >= 0 else np.float32(np.inf)
                 seen_by = SEEN_BY_GLOSSY if mirrored else SEEN_THROUGH_GLASS if glass[pixel, s] > 0 else SEEN_BY_CAMERA
                 lamps_between(
@@ -374,21 +432,51 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
             way, r, g, b, w = SHOWN, _0, _0, _0, _1
             ox, oy, oz = origin[lane, 0], origin[lane, 1], origin[lane, 2]
             flags = materials.flags[material[triangle]]
-            behind, mirroring = False, flags & MIRRORING
+            if tile.looking[lane] and not flags & FROSTED:
+                disable_ray(packet, lane)
+                continue
+            behind, mirroring, frost = False, flags & MIRRORING, _0
             if flags & TRANSPARENT:
                 cosine, behind = _view_cosine(
                     vertices, triangle_vertices, corner_normals, flags, triangle, u, v, dx, dy, dz, kinds[pixel, s], entered[pixel, s]
                 )
                 evaluate(materials, material[triangle], attributes, triangle, u, v, cosine, rows, surface)
+                frost = surface[FROST] if surface[FROST] > SMALLEST_ALPHA else _0
+                if frost > _0 and tile.frosted[lane] >= 0:
+                    row = tile.frosted[lane]
+                    tile.frost[pixel, row] = joined_alpha(tile.frost[pixel, row], frost)
+                if tile.looking[lane]:
+                    if frost == _0 or layer == MAX_LAYERS - 1:
+                        disable_ray(packet, lane)
+                    else:
+                        set_ray(
+                            packet,
+                            lane,
+                            ox,
+                            oy,
+                            oz,
+                            dx,
+                            dy,
+                            dz,
+                            t + np.float32(4e-6) * (t + camera.clip[0]),
+                            np.float32(np.inf),
+                            TRANSMISSION,
+                        )
+                        count += 1
+                        active = True
+                    continue
                 if tile.choice[lane, 1] < FINEST:
                     tile.choice[lane, 0], tile.choice[lane, 1] = uniform(seed, number, s, 2 + layer), _1
-                way, r, g, b, w, x, p = _way_on(
-                    surface, tile.choice[lane, 0], tile.parted[lane] == 0, glass[pixel, s] + tile.parted[lane] < PANES
-                )
+                # Through frosted glass a sample looks by the pane's own lobe, and needs no further row.
+                room = glass[pixel, s] + tile.parted[lane] < PANES
+                blurred = frost > (POLISHED * POLISHED if room else PERFECT * PERFECT) and tile.frosted[lane] < 0
+                way, r, g, b, w, x, p = _way_on(surface, tile.choice[lane, 0], tile.parted[lane] == 0, room or blurred)
                 if way == SHOWN | STRAIGHT:
                     tile.parted[lane] = 1
                 tile.choice[lane, 0], tile.choice[lane, 1] = min(x, BELOW_ONE), p * tile.choice[lane, 1]
                 mirroring = way == SHOWN and behind and flags & REFRACTIVE  # what is reflected totally
+                if way == SHOWN | REFRACTED and blurred:
+                    way = LOOKING
             if mirroring and glass[pixel, s] + tile.parted[lane] < PANES:
                 mirrors, ox, oy, oz, dx, dy, dz, r, g, b = _reflected(
                     materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, kinds[pixel, s], entered[pixel, s],
@@ -399,15 +487,23 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                     tile.shown[pixel, s] = ALL_LIGHT if surface[ROUGHNESS] <= PERFECT else SURFACES
                     if max(r, g, b) > _0:
                         way = SHOWN | REFLECTED
+            seen_by_lobe = frost > PERFECT * PERFECT and way & REFRACTED and tile.frosted[lane] < 0
+            if way & REFRACTED and frost > _0:
+                ox, oy, oz, dx, dy, dz, x = _scattered(
+                    materials, geometry, material[triangle], triangle, u, v, dx, dy, dz,
+                    uniform(seed, number, s, 100 + layer), uniform(seed, number, s, 200 + layer), surface, tile.lobe,
+                )  # fmt: skip
+                r, g, b = x * r, x * g, x * b
             if way & SHOWN:
                 row = s
-                if way != SHOWN:  # the sample goes on beyond a pane, which gets a row of its own
+                if way & (STRAIGHT | REFRACTED | REFLECTED):  # the sample goes on beyond a pane, which gets a row of its own
                     row = tile.count[pixel]
                     tile.count[pixel] += 1
                     glass[pixel, row], kinds[pixel, row], entered[pixel, row] = glass[pixel, s], kinds[pixel, s], entered[pixel, s]
                     tile.shown[pixel, row], tile.shining[pixel, row] = tile.shown[pixel, s], tile.shining[pixel, s]
                     tile.shown_by[pixel, row] = tile.shown_by[pixel, s]
-                    tile.shown[pixel, s] = 0
+                    tile.shown[pixel, s] = tile.through[pixel, row] = 0
+                    tile.frost[pixel, row] = _0
                     for c in range(3):
                         direction[pixel, row, c] = direction[pixel, s, c]
                 for c in range(3):
@@ -415,8 +511,17 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                 triangles[pixel, row, 0] = triangle
                 tile.hits[pixel, row, 1], tile.hits[pixel, row, 2] = u, v
                 depth[pixel, row] = tile.before[lane] + t * tile.axial[lane]
+                if way == LOOKING or seen_by_lobe:
+                    tile.frosted[lane], tile.frost[pixel, row] = row, frost
+                    tile.through[pixel, row] = ALL_LIGHT if way == LOOKING else SURFACES
             if way == SHOWN:
                 disable_ray(packet, lane)
+                continue
+            if way == LOOKING:
+                tile.looking[lane] = 1
+                set_ray(packet, lane, ox, oy, oz, dx, dy, dz, t + np.float32(4e-6) * (t + camera.clip[0]), np.float32(np.inf), TRANSMISSION)
+                count += 1
+                active = True
                 continue
             weight[pixel, s, 0] *= r
             weight[pixel, s, 1] *= g
@@ -432,21 +537,34 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                 tile.shining[pixel, s] = surface[ROUGHNESS] <= PERFECT
                 passed[lane] = _0
             else:
+                # Past the hit by a few rounding errors of t, so that the surface is not met again.
+                start = t + np.float32(4e-6) * (t + camera.clip[0])
+                passed[lane] = t
                 if way & REFRACTED:
                     glass[pixel, s] += 1
                     entered[pixel, s] = passed_glass(entered[pixel, s], behind)
                     kinds[pixel, s] = TRANSMISSION
                     tile.shown_by[pixel, s] = triangle
-                # Past the hit by a few rounding errors of t, so that the surface is not met again.
-                start = t + np.float32(4e-6) * (t + camera.clip[0])
-                if kinds[pixel, s] == CAMERA:
+                    if frost > _0:
+                        origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
+                        direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2] = dx, dy, dz
+                        tile.before[lane] += t * tile.axial[lane]
+                        if seen_by_lobe:
+                            tile.shining[pixel, s] = 0
+                        start = passed[lane] = _0
+                elif kinds[pixel, s] == CAMERA:
                     far = (camera.clip[1] - camera.clip[0]) / tile.axial[lane]
-                passed[lane] = t
             set_ray(packet, lane, ox, oy, oz, dx, dy, dz, start, far, kinds[pixel, s])
             count += 1
             active = True
         layer += 1
     return count
+
+
+@inlined
+def is_scattered(tile, pixel, s):
+    """Whether a row shows what a ray drawn from a lobe has met, which may be another surface for every sample."""
+    return tile.kinds[pixel, s] == GLOSSY or not tile.shining[pixel, s]
 
 
 @leaf
@@ -495,9 +613,15 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             if behind:
                 gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
             cosine = lobe_cosine(sx, sy, sz, gx, gy, gz, -dx, -dy, -dz)
+            sample[s, BEYOND] = np.float32(passed_glass(np.int64(tile.entered[pixel, s]), behind))
             if not (behind and materials.flags[material[triangle]] & REFRACTIVE):
                 tile.entered[pixel, s] = 0
             ar, ag, ab = diffuse_color(surface, cosine)
+            sample[s, SHEENED + 3] = surface[SHEEN_ROUGHNESS]
+            if surface[SHEEN_ROUGHNESS] != _0:
+                sample[s, SHEENED] = surface[SHEEN] / max(ar, FAINT)
+                sample[s, SHEENED + 1] = surface[SHEEN + 1] / max(ag, FAINT)
+                sample[s, SHEENED + 2] = surface[SHEEN + 2] / max(ab, FAINT)
             ar, ag, ab = ar * wr, ag * wg, ab * wb
             tr = tg = tb = _0
             if materials.flags[material[triangle]] & TRANSLUCENT:
@@ -526,13 +650,13 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             if nearest < 0 or depth[pixel, s] < depth[pixel, nearest]:
                 nearest = s
             footprint = pixel_width if camera.orthographic else pixel_width * depth[pixel, s]
-            if tile.kinds[pixel, s] == GLOSSY:
+            if is_scattered(tile, pixel, s):
                 footprint *= BENT
             k = 0
             while k < groups:
                 f = first[k]
                 alike = object_of[triangles[pixel, f, 0]] == object_of[triangle] and (glass[pixel, f] > 0) == behind_glass
-                alike = alike and tile.shown[pixel, f] == tile.shown[pixel, s]
+                alike = alike and tile.shown[pixel, f] == tile.shown[pixel, s] and tile.through[pixel, f] == tile.through[pixel, s]
                 if alike and _same_surface(
                     x, y, z, sx, sy, sz, sample[f, PLACE], sample[f, PLACE + 1], sample[f, PLACE + 2],
                     sample[f, SHADED], sample[f, SHADED + 1], sample[f, SHADED + 2], footprint,
@@ -552,6 +676,14 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             group[k, G_ALBEDO] += lit * ar
             group[k, G_ALBEDO + 1] += lit * ag
             group[k, G_ALBEDO + 2] += lit * ab
+            if materials.flags[material[triangle]] & COATED and tile.shown[pixel, s] != ALL_LIGHT:
+                bare(surface)
+                cr, cg, cb = wr * surface[COAT], wg * surface[COAT + 1], wb * surface[COAT + 2]
+                group[k, G_COAT] += cr
+                group[k, G_COAT + 1] += cg
+                group[k, G_COAT + 2] += cb
+                group[k, G_COAT_F0] += (cr + cg + cb) * surface[COAT_F0]
+                group[k, G_COAT_ROUGHNESS] += (cr + cg + cb) * surface[COAT_ROUGHNESS]
             if tile.shown[pixel, s] == ALL_LIGHT:
                 for c in range(3):
                     surface[GLOSSY_F0 + c] = surface[GLOSSY_F90 + c] = _0
@@ -563,9 +695,17 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             group[k, G_F90 + 1] += fg
             group[k, G_F90 + 2] += fb
             group[k, G_ROUGHNESS] += surface[ROUGHNESS]
+            for c in range(4):
+                group[k, G_GLOSS + c] += surface[GLOSS + c]
             group[k, G_TRANSLUCENCY] += tr
             group[k, G_TRANSLUCENCY + 1] += tg
             group[k, G_TRANSLUCENCY + 2] += tb
+            if tile.through[pixel, s]:
+                pr, pg, pb = wr * surface[REFRACTION], wg * surface[REFRACTION + 1], wb * surface[REFRACTION + 2]
+                group[k, G_THROUGH] += pr
+                group[k, G_THROUGH + 1] += pg
+                group[k, G_THROUGH + 2] += pb
+                group[k, G_FROST] += (pr + pg + pb) * tile.frost[pixel, s]
             ar, ag, ab = ar + tr, ag + tg, ab + tb
             seen = ar + ag + ab + er + eg + eb + surface[GLOSSY_F0] * wr + surface[GLOSSY_F0 + 1] * wg + surface[GLOSSY_F0 + 2] * wb
         if s < most:

@@ -16,8 +16,9 @@ from lumigate.core.methods.glossy import has_lobes, reflect
 from lumigate.core.pipeline import render
 from lumigate.core.rays import RayScene
 from lumigate.core.settings import RenderSettings
+from lumigate.core.surfaces import ggx
 from lumigate.core.surfaces.layout import DIFFUSE, GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE
-from lumigate.core.surfaces.lobes import LOBE, flattened_lobe, lobe_value, set_lobe
+from lumigate.core.surfaces.lobes import ALBEDO, LOBE, flattened_lobe, lobe_value, sample_lobe, set_lobe
 from lumigate.core.surfaces.program import new_registers
 from lumigate.core.transport import transport
 from lumigate.core.view.points import ShadingPoints
@@ -433,3 +434,28 @@ def test_only_small_lamps_that_every_point_asks_have_sharp_shadows():
     assert sharp(large, lamp(sc.AREA, 1.0), lamp(sc.SUN, 1.0, angle=math.radians(20))) is None
     assert sharp(*[small] * 3, samples=2) is None
     assert sharp(*[small] * 300) is None
+
+
+@pytest.mark.parametrize("cosine", [0.2, 0.9])
+def test_lobes_know_what_their_albedos_leave_out(cosine):
+    """The albedos hold a mean over the views, of which `layout.GLOSS` tells the reflectance and whether light is lost."""
+    roughness, color = 0.9, 0.4
+    e, mean = ggx.single_scattering(F(cosine), F(roughness)), ggx.single_scattering_mean(F(roughness))
+    again = color * mean / (1 - color * (1 - mean))
+    for top, expected, held in ((color, color * (e + again * (1 - e)), mean + again * (1 - mean)), (-color, color * e, mean)):
+        row = lobe_of(roughness, cosine, 1, 1)
+        g = F(0.5 * color * held)  # of half a pixel
+        view = (F(c) for c in view_at(cosine))
+        set_lobe(row, F(0), F(0), F(1), F(0), F(0), F(1), *view, F(roughness), g, g, g, g, g, g, F(top), F(0), F(0), F(0))
+        assert row[ALBEDO] == pytest.approx(0.5 * expected, rel=2e-3)
+
+
+def test_a_black_tint_takes_all_light_at_82_degrees():
+    row, cosine = np.zeros(LOBE, F), 1 / 7
+    one, f0 = F(1), F(0.6)
+    set_lobe(
+        row, F(0), F(0), one, F(0), F(0), one, *(F(c) for c in view_at(cosine)), F(0), f0, f0, f0, one, one, one, one, one, F(0.5), F(0)
+    )
+    *_, r, g, b, _ = sample_lobe(row, F(0.3), F(0.3))
+    schlick = 0.6 + 0.4 * (6 / 7) ** 5
+    assert (r, g, b) == pytest.approx((0, 0.5 * schlick, schlick), abs=2e-3)

@@ -125,5 +125,4 @@ def test_the_back_of_a_sheet_is_a_mirror_beyond_the_critical_angle(facing, input
     layers = render(extract_scene(scene, size=(16, 8)), RenderSettings(denoise=False, pixel_samples=32)).layers
     expected = np.mean([half["Combined"].mean((0, 1), dtype=float) for half in halves], axis=0)
     got = layers["Combined"].mean((0, 1), dtype=float)
-    # Both sides of a thin wall reflect, here one of them.
-    np.testing.assert_allclose(got, expected, atol=0.08 if "Thin_Wall" in inputs else 0.03)
+    np.testing.assert_allclose(got, expected, atol=0.03)

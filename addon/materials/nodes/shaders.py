@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from ....core.surfaces import program as ops
+from ....core.surfaces.closures import BECKMANN
 from ..builder import ONE, ZERO, Constant, Value, scalar
 from ..registry import closure
 from ..requests import WORLD_NORMAL
 from ..tree import NodeInput
 
-_FAINT = 0.1  # weight of a sheen, up to which the shape of its lobe hardly shows
+_COS_82 = 1 / 7  # cosine of what is called 82 degrees in F82
 
 
 def _is(value: Value, number: float) -> bool:
@@ -29,17 +30,12 @@ def _normal(node: NodeInput, key: str = "Normal") -> None:
 
 
 def _warn_straight(node: NodeInput, what: str) -> None:
-    blur = "" if _is(node["Roughness"], 0) else " or blur"
-    node.warn(f"{what} is treated as straight through, without refraction{blur}")
+    node.warn(f"{what} is treated as straight through, without refraction")
 
 
 def _warn_anisotropy(node: NodeInput, key: str) -> None:
     if node.has(key) and not _is(node[key], 0):
         node.warn("anisotropy is left out: highlights and reflections are round")
-
-
-def _warn_sheen(node: NodeInput) -> None:
-    node.warn("sheen keeps its albedo, and scatters light as a diffuse surface does")
 
 
 @closure("ShaderNodeBsdfPrincipled")
@@ -56,8 +52,6 @@ def principled(node: NodeInput, weight: Value) -> None:
     base, roughness, ior = node["Base Color"], node["Roughness"], node["IOR"]
     sheen = node["Sheen Weight"]
     if not _is(sheen, 0):
-        if not isinstance(sheen, Constant) or sheen.x > _FAINT:
-            _warn_sheen(node)
         lobe = node.pack(sheen, node["Sheen Roughness"])
         weight = node.emit(ops.SHEEN_CLOSURE, lobe, node["Sheen Tint"], ZERO, weight)
     _warn_anisotropy(node, "Anisotropic")
@@ -76,7 +70,7 @@ def principled(node: NodeInput, weight: Value) -> None:
         weight = node.multiply(weight, node.complement(metallic))
     transmission = node.clamp(node["Transmission Weight"])
     if not _is(transmission, 0):
-        through = node.math_rgb("SQRT", node.clamp(base))
+        through = node.clamp(base) if thin else node.math_rgb("SQRT", node.clamp(base))  # of both sides, or one
         share = node.multiply(weight, transmission)
         node.emit(ops.GLASS_CLOSURE, through, node.pack(roughness, ior), tint, share, p=int(thin))
         weight = node.multiply(weight, node.complement(transmission))
@@ -119,12 +113,10 @@ def subsurface(node: NodeInput, weight: Value) -> None:
 
 @closure("ShaderNodeBsdfSheen")
 def sheen(node: NodeInput, weight: Value) -> None:
-    """Sheen BSDF, microfibre or Ashikhmin (treated alike)."""
+    """Sheen BSDF, microfibre or Ashikhmin's velvet."""
     _normal(node)
-    if node.node.distribution != "MICROFIBER":
-        node.warn("an Ashikhmin sheen is treated as a microfibre sheen")
-    _warn_sheen(node)
-    node.emit(ops.SHEEN_CLOSURE, node.pack(ONE, node["Roughness"]), node["Color"], ZERO, weight)
+    velvet = int(node.node.distribution != "MICROFIBER")
+    node.emit(ops.SHEEN_CLOSURE, node.pack(ONE, node["Roughness"]), node["Color"], ZERO, weight, p=velvet)
 
 
 @closure("ShaderNodeBsdfToon")
@@ -143,7 +135,21 @@ def glossy(node: NodeInput, weight: Value) -> None:
     """Glossy BSDF."""
     _normal(node)
     _warn_anisotropy(node, "Anisotropy")
-    node.emit(ops.GLOSSY_CLOSURE, node["Color"], node["Roughness"], ZERO, weight, p=_multiple(node))
+    kind = BECKMANN if node.node.distribution == "BECKMANN" else _multiple(node)
+    node.emit(ops.GLOSSY_CLOSURE, node["Color"], node["Roughness"], ZERO, weight, p=kind)
+
+
+def _conductor_edge(node: NodeInput, base: Value, n: Value, k2: Value) -> Value:
+    """The tint at 82 degrees of a conductor: its reflectance there (Rs and Rp of a large n^2 + k^2) over Schlick's, which rises from `base` to 1."""
+    c, twice = scalar(_COS_82), node.vector("MULTIPLY", scalar(2 * _COS_82), n)
+    size = node.vector("MULTIPLY_ADD", n, n, k2)
+    parts = []
+    for a, b in ((size, node.vector("MULTIPLY", c, c)), (node.vector("MULTIPLY", size, node.vector("MULTIPLY", c, c)), ONE)):
+        whole = node.vector("ADD", a, b)
+        parts.append(node.vector("DIVIDE", node.vector("SUBTRACT", whole, twice), node.vector("ADD", whole, twice)))
+    reflected = node.vector("MULTIPLY", scalar(0.5), node.vector("ADD", *parts))
+    schlick = node.vector("MULTIPLY_ADD", node.complement(base), scalar((1 - _COS_82) ** 5), base)
+    return node.vector("DIVIDE", reflected, schlick)
 
 
 @closure("ShaderNodeBsdfMetallic")
@@ -159,13 +165,13 @@ def metallic(node: NodeInput, weight: Value) -> None:
         above = node.vector("SUBTRACT", n, one)
         below = node.vector("ADD", n, one)
         base = node.vector("DIVIDE", node.vector("MULTIPLY_ADD", above, above, k2), node.vector("MULTIPLY_ADD", below, below, k2))
-        edge = ONE
+        edge = _conductor_edge(node, base, n, k2)
     node.emit(ops.METAL_CLOSURE, base, node["Roughness"], edge, weight, p=_multiple(node))
 
 
 @closure("ShaderNodeBsdfGlass")
 def glass(node: NodeInput, weight: Value) -> None:
-    """Glass BSDF: straight through with its colour."""
+    """Glass BSDF: through with its colour, blurred but not bent."""
     _warn_straight(node, "glass")
     color = node["Color"]
     node.emit(ops.GLASS_CLOSURE, color, node.pack(node["Roughness"], node["IOR"]), color, weight)
@@ -173,9 +179,9 @@ def glass(node: NodeInput, weight: Value) -> None:
 
 @closure("ShaderNodeBsdfRefraction")
 def refraction(node: NodeInput, weight: Value) -> None:
-    """Refraction BSDF: straight through with its colour."""
+    """Refraction BSDF: through with its colour, blurred but not bent."""
     _warn_straight(node, "refraction")
-    node.emit(ops.REFRACTION_CLOSURE, node["Color"], node["IOR"], ZERO, weight)
+    node.emit(ops.REFRACTION_CLOSURE, node["Color"], node.pack(node["Roughness"], node["IOR"]), ZERO, weight)
 
 
 @closure("ShaderNodeBsdfTransparent")

@@ -1,0 +1,82 @@
+"""Frosted glass against Cycles: a pane with a lamp behind it, in a room of two colours."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+
+from lumigate.addon.extract import extract_scene
+from lumigate.core.pipeline import render
+from lumigate.core.settings import RenderSettings
+from lumigate.headless.reference import ReferenceSettings, render_layers
+
+from .test_direct_light import lamp, look, material, quad
+from .test_glass import shader, slab
+
+SIZE = (24, 14)
+THIN = pytest.mark.skipif(bpy.app.version < (5, 2), reason="Blender 5.2 has thin walls")
+LIGHT = ("Direct", "GlossyIndirect")  # what comes through a thin wall is direct light, through a pane of two sides it is not
+
+
+def before_a_lamp(glass):
+    """A pane of 2 cm from wall to wall; behind it a small lamp before a wall that is red on the left and white on the right."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    red, white = (
+        material(name, Base_Color=(*color, 1), Specular_IOR_Level=0.0)
+        for name, color in (("Red", (0.7, 0.1, 0.1)), ("White", (0.7, 0.7, 0.7)))
+    )
+    for left, right, surface in ((-3, 0, red), (0, 3, white)):
+        quad(scene, [(left, 4, -2), (right, 4, -2), (right, 4, 2), (left, 4, 2)], surface)
+    if glass == "thin":
+        pane = material("Frosted", Transmission_Weight=1.0, Roughness=0.5, IOR=1.45, Base_Color=(0.8, 0.9, 1.0, 1), Thin_Wall=True)
+        quad(scene, [(-3, 2, -2), (3, 2, -2), (3, 2, 2), (-3, 2, 2)], pane)
+    elif glass == "principled":
+        pane = material("Frosted", Transmission_Weight=1.0, Roughness=0.6, IOR=1.45, Base_Color=(0.8, 0.9, 1.0, 1))
+    else:
+        pane = shader("Frosted", "ShaderNodeBsdfGlass", Roughness=0.5, IOR=1.5)
+    if glass != "thin":
+        slab(scene, -3, 3, 2.0, 2.02, -2, 2, pane)
+    lamp(scene, "POINT", (0.4, 3.2, 0.3), energy=20.0, shadow_soft_size=0.03)
+    look(scene, (0, 0, 0), (math.pi / 2, 0, 0), lens=30)
+    return scene
+
+
+@pytest.fixture(scope="module", params=["principled", "glass", pytest.param("thin", marks=THIN)])
+def pictures(request):
+    scene = before_a_lamp(request.param)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=512, size=SIZE, bounces=1))
+    arrays = extract_scene(scene, size=SIZE)
+    ours = [render(arrays, RenderSettings(method="importance-sampling", bounces=1, seed=seed, denoise=False)).layers for seed in range(2)]
+    return reference, {name: np.mean([layers[name] for layers in ours], axis=0) for name in (*LIGHT, "Combined")}
+
+
+def test_a_frosted_pane_passes_as_much_light_as_in_cycles(pictures):
+    reference, ours = pictures
+    for name in LIGHT:
+        assert ours[name].mean() == pytest.approx(np.mean(reference[name]), rel=0.09)
+    assert ours["Combined"].mean() == pytest.approx(np.mean(reference["Combined"]), rel=0.09)
+
+
+def test_the_lamp_glows_in_the_pane_and_the_wall_is_blurred(pictures):
+    """By blocks of two pixels: clear glass has less than a third of the light beside the lamp, and a hard edge between the colours."""
+    reference, ours = ((some["Direct"] + some["GlossyIndirect"]).reshape(7, 2, 12, 2, 3).mean((1, 3)) for some in pictures)
+    light = reference.mean(-1)
+    np.testing.assert_allclose(ours.mean(-1), light, rtol=0.25, atol=0.03 * light.max())
+    red, expected = ((some[..., 0] / some.sum(-1))[5:] for some in (ours, reference))
+    np.testing.assert_allclose(red.mean(0), expected.mean(0), atol=0.12)
+
+
+@THIN
+@pytest.mark.parametrize("angle", [0.0, 0.8])
+def test_a_thin_wall_has_the_tint_and_the_reflections_of_both_sides(angle):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    wall = material("Wall", Transmission_Weight=1.0, Roughness=0.0, IOR=1.5, Base_Color=(0.8, 0.5, 0.2, 1), Thin_Wall=True)
+    quad(scene, [(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)], wall)
+    quad(scene, [(-90, -90, -5), (90, -90, -5), (90, 90, -5), (-90, 90, -5)], shader("Light", "ShaderNodeEmission", Strength=1.0))
+    look(scene, (0, -5 * math.sin(angle), 5 * math.cos(angle)), (angle, 0, 0), type="ORTHO", ortho_scale=0.2)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=(4, 4), bounces=1))
+    found = render(extract_scene(scene, size=(4, 4)), RenderSettings(bounces=1, denoise=False)).layers
+    np.testing.assert_allclose(found["Combined"].mean((0, 1)), reference["Combined"].mean((0, 1)), rtol=0.01)
