@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from .methods.glossy import Reflections, has_lobes
 from .methods.wide_lobes import sees_alike
 from .passes import Passes, denoising_quality
 from .picture import Picture, nearest_triangles, splat
-from .planning.machine import cached_machine
+from .planning.machine import cached_machine, look_again
 from .planning.planner import Planner, reduced
 from .reuse import Sequence
 from .scene import Camera, Scene
@@ -44,6 +44,7 @@ from .transport import Transport
 from .view.primary import View, view
 
 GLANCE = 64  # pixels along the longer side of a picture that tells what the whole one will show
+TOO_SLOW = 2 / 3  # of the denoiser's time that the machine's file foresees: less shows that other work ran when it was made
 LOADED: set[str] = set()  # methods whose kernels this process has in memory, which the first pass of one pays for
 
 
@@ -182,6 +183,10 @@ def _render(
             quality = denoising_quality(settings, passes.weight / share, least="high" if in_turn and sequence.resting else "fast")
             direct = settings.wants("Direct", "Combined")
             picture = picture.denoised(denoiser, threads, direct=direct, indirect=not passes.as_it_is, quality=quality)
+            foreseen = run.planner.finishing(passes.weight) if run.planner.machine else 0.0
+        if run.seconds["denoise"] < TOO_SLOW * foreseen:
+            with _calibration(run):  # for the budgets to come
+                look_again(run.planner.machine)
         if passes.as_it_is:
             run.skip("denoise", f"the indirect light's relMSE is {passes.estimate:.2g} as it is")
     if picture.groups and (denoiser or sequence):  # either has changed the whole
@@ -214,14 +219,20 @@ def _render(
     return RenderResult(layers, stats)
 
 
+@contextmanager
+def _calibration(run: Run) -> Iterator[None]:
+    """Seconds that are spent once a machine: apart from the render, as compilation is."""
+    begin = time.perf_counter()
+    yield
+    run.seconds["calibration"] = run.seconds.get("calibration", 0.0) + time.perf_counter() - begin
+
+
 def _planner(run: Run, tables: Transport, settings: RenderSettings, pixels: int, threads: int) -> Planner:
     """Who decides the passes; what this machine can do is only asked where there is something to be reached."""
     machine = None
     if settings.time_budget is not None:
-        begin = time.perf_counter()
-        machine, measured = cached_machine(threads)
-        if measured:  # once a machine: apart from the render, as compilation is
-            run.seconds["calibration"] = time.perf_counter() - begin
+        with _calibration(run):
+            machine = cached_machine(threads)
     images = 4 if settings.wants("Direct", "Combined") else 3  # diffuse indirect light is denoised twice
     if images == 4 and sharp_emitters(tables.emitters, settings.direct_samples) is not None:
         images += 1

@@ -9,8 +9,9 @@ import pytest
 from lumigate.core.passes import GROUPS, Passes
 from lumigate.core.picture import Picture
 from lumigate.core.pipeline import render
+from lumigate.core.planning import machine as machine_file
 from lumigate.core.planning.cost import BASE, PassCost
-from lumigate.core.planning.machine import Machine, cached_machine
+from lumigate.core.planning.machine import Machine, cached_machine, look_again
 from lumigate.core.planning.planner import LEAST, MOST, PILOT_PIXELS, Planner, reduced
 from lumigate.core.settings import QUALITIES, QUALITY_ERRORS, RenderSettings
 
@@ -119,14 +120,34 @@ def test_cost_follows_what_was_seen():
 
 
 def test_machine_is_measured_once(tmp_path):
-    first, measured = cached_machine(1, tmp_path)
-    again, once_more = cached_machine(1, tmp_path)
-    assert measured and not once_more and again == first
-    assert 0 < first.ray < 1e-3 and first.denoiser_pixel > 0
+    first = cached_machine(1, tmp_path)
+    assert 0 < first.ray < 1e-3 and first.denoiser_pixel > 0 and first.looks == 1
+    assert cached_machine(1, tmp_path) == first
     (path,) = tmp_path.glob("machine*.json")
-    for spoiled in ("{", json.dumps(json.loads(path.read_text()) | {"key": {"version": 0}})):
+    kept = json.loads(path.read_text())
+    for spoiled in ("{", json.dumps(kept | {"ray": 1.0, "key": {"version": 0}}), json.dumps(kept | {"colour": 1})):
         path.write_text(spoiled)
-        assert cached_machine(1, tmp_path)[1]
+        assert cached_machine(1, tmp_path).ray < 1e-3
+
+
+def test_least_counts_of_three_looks_at_a_machine(tmp_path, monkeypatch):
+    seen = iter([Machine(3.0, 0.2, 1.0, 2), Machine(1.0, 0.4, 2.0, 2), Machine(2.0, 0.1, 3.0, 2)])
+    monkeypatch.setattr(machine_file, "measure", lambda threads: next(seen))
+    machine = cached_machine(2, tmp_path)
+    for _ in range(3):  # the last one is one too many
+        machine = look_again(machine, tmp_path)
+    assert machine == Machine(1.0, 0.1, 1.0, 2, looks=3) == cached_machine(2, tmp_path)
+
+
+def test_a_machine_that_was_busy_when_it_was_measured_is_measured_again(sphere, tmp_path, monkeypatch):
+    monkeypatch.setenv("LUMIGATE_CACHE", str(tmp_path))
+    for denoiser, looks in ((100.0, 2), (0.0, 1)):
+        file = tmp_path / "machine-1.json"
+        file.unlink(missing_ok=True)
+        monkeypatch.setattr(machine_file, "measure", lambda threads, least=denoiser: Machine(1e-6, least, 1e-9, threads))
+        cached_machine(1)
+        render(sphere, RenderSettings(vpls=64, time_budget=0.1, threads=1))
+        assert json.loads(file.read_text())["looks"] == looks
 
 
 def test_the_numbers_of_a_preset_give_way_to_its_error():
