@@ -12,6 +12,9 @@ from ..requests import (
     FACE_NORMAL,
     GENERATED,
     INCOMING,
+    INSTANCER_ATTRIBUTE,
+    INSTANCER_GENERATED,
+    INSTANCER_UV,
     NORMAL,
     OBJECT,
     OBJECT_ATTRIBUTE,
@@ -42,12 +45,16 @@ def rgb(node: NodeInput, output: str) -> Value:
 @value("ShaderNodeUVMap")
 def uv_map(node: NodeInput, output: str) -> Value:
     """UV Map."""
+    if node.node.from_instancer:
+        return node.program.attribute(INSTANCER_UV)
     return node.program.attribute(UV, node.node.uv_map)
 
 
 @value("ShaderNodeTexCoord")
 def texture_coordinate(node: NodeInput, output: str) -> Value:
     """Texture Coordinate, but for the outputs that depend on the camera."""
+    if node.node.from_instancer and output in ("Generated", "UV"):
+        return node.program.attribute(INSTANCER_GENERATED if output == "Generated" else INSTANCER_UV)
     if output == "UV":
         return node.program.attribute(UV)
     if output == "Generated":
@@ -69,7 +76,7 @@ def attribute(node: NodeInput, output: str) -> Value:
     if kind == "GEOMETRY":
         read = node.program.attribute(ATTRIBUTE, name)
     else:
-        read = node.program.attribute(OBJECT_ATTRIBUTE, name)
+        read = node.program.attribute(OBJECT_ATTRIBUTE if kind == "OBJECT" else INSTANCER_ATTRIBUTE, name)
     if output == "Fac":
         # Cycles reads the first component of a UV map, the mean of anything else.
         is_uv = any(name in getattr(o.data, "uv_layers", ()) for o in node.context.objects)
