@@ -36,7 +36,9 @@ class Nodes:
         index = self.add("GeometryNodeInputIndex")
         value = self.add("ShaderNodeVectorMath", index, settings={"operation": "MULTIPLY_ADD"})
         value.node.inputs[1].default_value, value.node.inputs[2].default_value = (scale, -scale, 2 * scale), (scale, 1, 3)
-        stored = self.add("GeometryNodeStoreNamedAttribute", instances, settings={"data_type": "FLOAT_VECTOR", "domain": "INSTANCE"}, Name=name)
+        stored = self.add(
+            "GeometryNodeStoreNamedAttribute", instances, settings={"data_type": "FLOAT_VECTOR", "domain": "INSTANCE"}, Name=name
+        )
         self.tree.links.new(value, stored.node.inputs["Value"])
         return stored
 
@@ -66,7 +68,12 @@ class Nodes:
 def leaf(stage, name="Leaf", size=0.1, **reads):
     """A quad that emits an attribute of its instancer, out of sight."""
     ob = stage.mesh(name, [(-size, -size, 0), (size, -size, 0), (size, size, 0), (-size, size, 0)], [(0, 1, 2, 3)])
-    emitting(stage, ob, *reads.pop("node", ("ShaderNodeAttribute", "Color")), **(reads or dict(attribute_name="tint", attribute_type="INSTANCER")))
+    emitting(
+        stage,
+        ob,
+        *reads.pop("node", ("ShaderNodeAttribute", "Color")),
+        **(reads or dict(attribute_name="tint", attribute_type="INSTANCER")),
+    )
     ob.location = 9, 9, 0
     return ob
 
