@@ -120,7 +120,7 @@ def _assembled(
     cycles: where it may compute what only it can: in this file, in a process of its own, or not now.
     """
     uneven = [replace(lamp.use, light=lamp.use.light.evaluated_get(graph)) for lamp in lamps.lamps if lamp.use is not None]
-    compiled = compile_materials(_uses(found, graph), lamps=uneven, may_bake=cycles == "here")
+    compiled = compile_materials(_uses(found, graph), lamps=uneven, may_bake=cycles == "here", frame=scene.frame_current)
     with_programs(lamps.lamps, compiled.lamps)
     geometry, origin, dropped = assemble(found, compiled)
     world = extract_world(scene, layer, graph, cycles)

@@ -36,6 +36,7 @@ class Context:
 
     fading: of a lamp, where its Light Falloff nodes put down what they are; None where there is no distance to fade by.
     is_lamp: whether it is the tree of a lamp, run for each ray that leaves it.
+    frame: of the scene, which image sequences follow.
     """
 
     material: bpy.types.Material
@@ -47,6 +48,7 @@ class Context:
     memory: dict = field(default_factory=dict)
     fading: Fading | None = None
     is_lamp: bool = False
+    frame: int = 1
 
     def warn(self, text: str) -> None:
         """One line for the user, once for each material."""

@@ -117,7 +117,8 @@ class Grid:
             obj.rotation_euler = angle, 0, 0
             obj.location = i % columns, i // columns + 0.5 - half[0], -half[1]
         passes = _render(columns)
-        found = compile_materials([MaterialUse(m, (bpy.data.objects[n],)) for n, (m, _, _) in self.materials.items()])
+        uses = [MaterialUse(m, (bpy.data.objects[n],)) for n, (m, _, _) in self.materials.items()]
+        found = compile_materials(uses, frame=bpy.context.scene.frame_current)
         self.warnings, self.flags = found.warnings, found.materials.tables.flags
         result = {}
         for i, (name, (_, angle, scale)) in enumerate(self.materials.items()):
