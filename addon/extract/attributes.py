@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import bpy
 import numpy as np
 
 from ..materials import AttributeRequest, CompiledMaterials, requests
+from ..materials.properties import found_property
 from .meshes import MeshCopy
 
 
@@ -177,44 +177,14 @@ def _baked(batch: Batch, by_object: dict[str, np.ndarray]) -> np.ndarray:
 
 def _property(part: Part, name: str) -> tuple[float, ...]:
     """A custom or RNA property of an object or else its data, as an Attribute node of type Object finds it; zeros if there is none."""
-    return _found(name, part.original, part.original.data)
+    return found_property(name, part.original, part.original.data)
 
 
 def _of_instancer(part: Part, name: str) -> tuple[float, ...]:
     """The same of type Instancer: what the instance has, its instancer, or else the object."""
     if name in part.instancing.attributes:
         return part.instancing.attributes[name]
-    return _found(name, *part.instancing.owners, part.original, part.original.data)
-
-
-def _found(name: str, *owners: bpy.types.ID | None) -> tuple[float, ...]:
-    """The first property of that name; zeros if none has it."""
-    for owner in owners:
-        if owner is None:
-            continue
-        value = owner.get(name)
-        if value is None:
-            try:
-                value = owner.path_resolve(name)
-            except ValueError:
-                continue
-        color = _as_color(value)
-        if color is not None:
-            return color
-    return (0, 0, 0, 0)
-
-
-def _as_color(value: Any) -> tuple[float, ...] | None:
-    """A number or an array of up to four numbers as RGBA, None for anything else."""
-    try:
-        values = np.atleast_1d(np.asarray(value, np.float32))
-    except (TypeError, ValueError):
-        return None
-    if values.ndim != 1 or not 1 <= len(values) <= 4:
-        return None
-    if len(values) == 1:
-        return (*values.repeat(3), 1)
-    return (*values, *(0, 0, 1)[len(values) - 1 :]) if len(values) < 4 else tuple(values)
+    return found_property(name, *part.instancing.owners, part.original, part.original.data)
 
 
 _OF_MESH: dict[str, Callable[[MeshCopy, str], np.ndarray | None]] = {

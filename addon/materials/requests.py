@@ -66,6 +66,22 @@ class MaterialUse:
 
 
 @dataclass(frozen=True)
+class Shot:
+    """What materials may ask of the render that they are in.
+
+    frame: of the scene, which image sequences follow.  camera: the object's name, '' for none that stays where it is.
+    window: left, right, bottom, top edge of its picture at distance 1 (m), or in metres if orthographic.
+    owners: whose properties Attribute nodes of type View Layer read, in this order.
+    """
+
+    frame: int = 1
+    camera: str = ""
+    window: tuple[float, float, float, float] = (-0.5, 0.5, -0.5, 0.5)
+    orthographic: bool = False
+    owners: tuple[bpy.types.ViewLayer | bpy.types.ID, ...] = ()
+
+
+@dataclass(frozen=True)
 class LampUse:
     """A lamp whose nodes tell rays apart.
 

@@ -11,11 +11,13 @@ from ...core.surfaces.arithmetic import SCALAR, VECTOR
 from . import registry
 from .bake import Baker
 from .builder import ONE, ZERO, Constant, Program, Value, scalar
-from .requests import BAKED
+from .requests import BAKED, Shot
 
 if TYPE_CHECKING:
     import bpy
 
+# What depends on where it is seen from.
+_FROM_ABOVE = frozenset({("ShaderNodeTexCoord", "Reflection"), ("ShaderNodeNewGeometry", "Incoming")})
 _SCALARS = ("VALUE", "INT", "BOOLEAN")
 
 
@@ -36,7 +38,7 @@ class Context:
 
     fading: of a lamp, where its Light Falloff nodes put down what they are; None where there is no distance to fade by.
     is_lamp: whether it is the tree of a lamp, run for each ray that leaves it.
-    frame: of the scene, which image sequences follow.
+    shot: what it may ask of the render.
     """
 
     material: bpy.types.Material
@@ -48,7 +50,7 @@ class Context:
     memory: dict = field(default_factory=dict)
     fading: Fading | None = None
     is_lamp: bool = False
-    frame: int = 1
+    shot: Shot = field(default_factory=Shot)
 
     def warn(self, text: str) -> None:
         """One line for the user, once for each material."""
@@ -134,7 +136,8 @@ class Scope:
             pixels = context.baker.bake(self, socket)
         except registry.Unsupported as obstacle:
             raise registry.Unsupported(f"{reason}, and it cannot be baked: {obstacle}") from None
-        context.warn(f"{reason}; its output '{socket.name}' was baked by Cycles")
+        seen = ", as seen from right above the surface" if (socket.node.bl_idname, socket.name) in _FROM_ABOVE else ""
+        context.warn(f"{reason}; its output '{socket.name}' was baked by Cycles{seen}")
         key = "baked", context.material.name_full, self.path, socket.node.name, socket.identifier
         texture = context.textures.add(key, lambda: pixels, textures.EXTEND, textures.LINEAR, 0)
         at = context.program.attribute(BAKED, context.material.name_full)

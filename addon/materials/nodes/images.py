@@ -68,5 +68,5 @@ def _texture(node: NodeInput, image: bpy.types.Image) -> int:
             raise ImageMissing("no tile of it is there")
         tiles = {place: functools.partial(load_pixels, image, file) for place, file in files.items()}
         return pool.add_tiles(key, tiles, *lookup)
-    file = frame_file(image, node.node.image_user, node.context.frame) if image.source == "SEQUENCE" else None
+    file = frame_file(image, node.node.image_user, node.context.shot.frame) if image.source == "SEQUENCE" else None
     return pool.add((*key, file), lambda: load_pixels(image, file), *lookup)
