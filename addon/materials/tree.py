@@ -16,8 +16,14 @@ from .requests import BAKED, Shot
 if TYPE_CHECKING:
     import bpy
 
-# What depends on where it is seen from.
-_FROM_ABOVE = frozenset({("ShaderNodeTexCoord", "Reflection"), ("ShaderNodeNewGeometry", "Incoming")})
+# What a bake cannot know, by node and output ('' is all of them).
+_BLIND = {
+    ("ShaderNodeTexCoord", "Reflection"): "as seen from right above the surface",
+    ("ShaderNodeNewGeometry", "Incoming"): "as seen from right above the surface",
+    ("ShaderNodeAmbientOcclusion", ""): "without the objects of other materials around",
+    ("ShaderNodeParticleInfo", ""): "without particles, all of which look alike",
+    ("ShaderNodePointInfo", ""): "without points, all of which look alike",
+}
 _SCALARS = ("VALUE", "INT", "BOOLEAN")
 
 
@@ -136,8 +142,9 @@ class Scope:
             pixels = context.baker.bake(self, socket)
         except registry.Unsupported as obstacle:
             raise registry.Unsupported(f"{reason}, and it cannot be baked: {obstacle}") from None
-        seen = ", as seen from right above the surface" if (socket.node.bl_idname, socket.name) in _FROM_ABOVE else ""
-        context.warn(f"{reason}; its output '{socket.name}' was baked by Cycles{seen}")
+        kind = socket.node.bl_idname
+        blind = _BLIND.get((kind, socket.name)) or _BLIND.get((kind, ""))
+        context.warn(f"{reason}; its output '{socket.name}' was baked by Cycles" + (f", {blind}" if blind else ""))
         key = "baked", context.material.name_full, self.path, socket.node.name, socket.identifier
         texture = context.textures.add(key, lambda: pixels, textures.EXTEND, textures.LINEAR, 0)
         at = context.program.attribute(BAKED, context.material.name_full)

@@ -76,9 +76,13 @@ def test_properties_of_the_view_layer(stage, tmp_path, owner):
     np.testing.assert_allclose(seen(stage), shown(stage, tmp_path), atol=1e-3)
 
 
-def test_what_depends_on_the_view_is_baked_with_a_warning(stage):
-    floor(stage, "ShaderNodeNewGeometry", "Incoming")
-    assert [line for line in stage.extract().warnings if "right above the surface" in line]
+@pytest.mark.parametrize(
+    "node, output, blind",
+    [("ShaderNodeNewGeometry", "Incoming", "right above the surface"), ("ShaderNodeParticleInfo", "Random", "without particles")],
+)
+def test_what_a_bake_cannot_know_has_a_warning(stage, node, output, blind):
+    floor(stage, node, output)
+    assert [line for line in stage.extract().warnings if blind in line]
 
 
 def test_films_have_a_warning(stage):
