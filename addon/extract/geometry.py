@@ -17,7 +17,7 @@ from ...core.errors import SceneError
 from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION, Geometry, Skipped
 from ..materials import CompiledMaterials
 from .attributes import NOT_INSTANCED, Batch, Instancing, Part, fill, lightmap_uv, unit
-from .instances import InstanceAttributes, instancer_names
+from .instances import InstanceAttributes, asked_of_instancers
 from .links import BLOCKERS, RECEIVERS, Links, blocker_bits
 from .meshes import MeshCopy, copy_mesh, face_normals, layer_names
 
@@ -108,7 +108,8 @@ def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None 
     hidden: dict[str, None] = {}
     meshes: dict[int, MeshCopy | None] = {}
     wanted = layer_names() | set(lightmaps.values())
-    attributes = InstanceAttributes(instancer_names())
+    names, is_asked = asked_of_instancers()
+    attributes = InstanceAttributes(names)
     view_layer = depsgraph.view_layer_eval
     override = view_layer.material_override
     for instance in depsgraph.object_instances:
@@ -141,7 +142,7 @@ def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None 
                 pass_index=ob.pass_index,
                 lightmap="" if instance.is_instance else lightmaps.get(ob.name, ""),
                 light_group=light_group(instance),
-                instancing=_instancing(instance, attributes) if instance.is_instance else NOT_INSTANCED,
+                instancing=_instancing(instance, attributes) if is_asked and instance.is_instance else NOT_INSTANCED,
                 **(_linked(instance, links) if links else {}),
             )
         )

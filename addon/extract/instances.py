@@ -17,10 +17,11 @@ from .meshes import READABLE, layer, node_trees, read
 _NO_NUMBER = 0x7FFFFFFF  # fills the levels that an instance has not
 
 
-def instancer_names() -> set[str]:
-    """The attributes that shader nodes of the file read from instancers."""
-    nodes = (node for tree in node_trees() for node in tree.nodes if node.bl_idname == "ShaderNodeAttribute")
-    return {node.attribute_name for node in nodes if node.attribute_type == "INSTANCER"} - {""}
+def asked_of_instancers() -> tuple[set[str], bool]:
+    """The attributes that shader nodes of the file read from instancers, and whether any node asks for these at all."""
+    nodes = [node for tree in node_trees() for node in tree.nodes]
+    names = {n.attribute_name for n in nodes if n.bl_idname == "ShaderNodeAttribute" and n.attribute_type == "INSTANCER"} - {""}
+    return names, bool(names) or any(getattr(node, "from_instancer", False) for node in nodes)
 
 
 @dataclass
