@@ -70,7 +70,7 @@ class MaterialTables(NamedTuple):
     code: (I, 8) int32;  constants: (C, 4) float32;  start: (M,) int32, first instruction.
     flags: (M,) int32;  constant: (M, SURFACE) float32, the surface of a CONSTANT material.
     texture_header: (X, 16) int32;  texels_u8: (B,) uint8;  texels_f32: (F,) float32.
-    functions: (2,) uint64, addresses of the rarer instructions' code (core/surfaces/outlined.py), 0 where unused.
+    functions: (3,) uint64, addresses of the rarer instructions' code (core/surfaces/outlined.py), 0 where unused.
     """
 
     code: np.ndarray
@@ -81,7 +81,7 @@ class MaterialTables(NamedTuple):
     texture_header: np.ndarray
     texels_u8: np.ndarray
     texels_f32: np.ndarray
-    functions: np.ndarray = np.zeros(2, np.uint64)
+    functions: np.ndarray = np.zeros(3, np.uint64)
 
 
 @dataclass

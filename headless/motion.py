@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import bpy
 
+from ..addon.extract.meshes import node_trees
+
 # Modifiers whose result depends on nothing but the mesh and their own (animatable) settings.
 _STILL_MODIFIERS = {
     "ARRAY", "BEVEL", "BOOLEAN", "DECIMATE", "EDGE_SPLIT", "MASK", "MIRROR", "MULTIRES", "NORMAL_EDIT", "REMESH", "SCREW", "SIMPLE_DEFORM",
@@ -47,6 +49,8 @@ def only_cameras_and_lamps_move(scene: bpy.types.Scene) -> bool:
         return False
     if any(image.source in ("SEQUENCE", "MOVIE") for image in bpy.data.images):
         return False
+    if any(_asks_for_the_camera(node) for tree in node_trees() for node in tree.nodes):
+        return False
     chain = {ob for ob in bpy.data.objects if ob.type in ("CAMERA", "LIGHT")}
     for ob in list(chain):
         while ob.parent is not None:
@@ -65,6 +69,14 @@ def only_cameras_and_lamps_move(scene: bpy.types.Scene) -> bool:
     # Whatever else looks at one of these, or hangs on it, may follow it.
     others = set().union(*(users[ob] for ob in chain)) - free if chain else set()
     return all(isinstance(block, _BYSTANDERS) for block in others)
+
+
+def _asks_for_the_camera(node: bpy.types.Node) -> bool:
+    names = {"ShaderNodeCameraData": None, "ShaderNodeTexCoord": ("Camera", "Window")}
+    if node.bl_idname not in names:
+        return False
+    wanted = names[node.bl_idname]
+    return any(output.is_linked for output in node.outputs if wanted is None or output.name in wanted)
 
 
 def exposures(scene: bpy.types.Scene, frame: int, count: int) -> list[float]:

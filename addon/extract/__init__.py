@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.errors import SceneError
 from ...core.scene import Camera, Scene
-from ..materials import MaterialUse, compile_materials
+from ..materials import MaterialUse, Shot, compile_materials
 from .camera import camera_warnings, extract_camera, find_camera, image_frame
 from .evaluation import in_render_depsgraph
 from .geometry import Collected, assemble, collect
@@ -120,7 +120,7 @@ def _assembled(
     cycles: where it may compute what only it can: in this file, in a process of its own, or not now.
     """
     uneven = [replace(lamp.use, light=lamp.use.light.evaluated_get(graph)) for lamp in lamps.lamps if lamp.use is not None]
-    compiled = compile_materials(_uses(found, graph), lamps=uneven, may_bake=cycles == "here")
+    compiled = compile_materials(_uses(found, graph), lamps=uneven, may_bake=cycles == "here", shot=_shot(scene, layer, view))
     with_programs(lamps.lamps, compiled.lamps)
     geometry, origin, dropped = assemble(found, compiled)
     world = extract_world(scene, layer, graph, cycles)
@@ -139,6 +139,13 @@ def _assembled(
         warnings=[*found.warnings, *found.links.warnings, *dropped, *lamps.warnings, *world.warnings, *compiled.warnings],
         skipped=[*found.skipped, *lamps.skipped],
     )
+
+
+def _shot(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, view: Camera | None) -> Shot:
+    owners = tuple(owner for owner in (layer, scene, scene.world) if owner is not None)
+    if view is None or view.name not in scene.objects:
+        return Shot(scene.frame_current, owners=owners)
+    return Shot(scene.frame_current, view.name, view.window, view.orthographic, owners)
 
 
 def _view_layer(

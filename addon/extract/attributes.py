@@ -3,21 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
 
 from ..materials import AttributeRequest, CompiledMaterials, requests
+from ..materials.properties import found_property
 from .meshes import MeshCopy
+
+
+@dataclass(frozen=True)
+class Instancing:
+    """What an instance has of its instancer.
+
+    attributes: RGBA by name.  owners: data-blocks whose properties come next, in this order.  generated, uv: the place on the instancer, as Cycles has them.
+    """
+
+    attributes: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    owners: tuple[bpy.types.ID, ...] = ()
+    generated: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    uv: tuple[float, float] = (0.0, 0.0)
+
+
+NOT_INSTANCED = Instancing()
 
 
 @dataclass
 class Part:
     """One instance of a mesh: where it is and what it wears (original data-blocks; None is an empty slot).
 
-    lightmap: the layer of its mesh that a lightmap is to be baked on ('' for none).  light_group: its name ('' for none).
+    lightmap: the layer of its mesh that a lightmap is to be baked on ('' for none).  light_group: its name ('' for none).  instancing: what it has of its instancer.
     receivers, blockers: numbers of its sets of linked objects (-1: all).  links: the original objects whose links to receivers and to blockers it shares.
     """
 
@@ -32,6 +48,7 @@ class Part:
     pass_index: int
     lightmap: str = ""
     light_group: str = ""
+    instancing: Instancing = NOT_INSTANCED
     receivers: int = -1
     blockers: int = -1
     links: tuple[bpy.types.Object, bpy.types.Object] | None = None
@@ -160,32 +177,14 @@ def _baked(batch: Batch, by_object: dict[str, np.ndarray]) -> np.ndarray:
 
 def _property(part: Part, name: str) -> tuple[float, ...]:
     """A custom or RNA property of an object or else its data, as an Attribute node of type Object finds it; zeros if there is none."""
-    for owner in (part.original, part.original.data):
-        if owner is None:
-            continue
-        value = owner.get(name)
-        if value is None:
-            try:
-                value = owner.path_resolve(name)
-            except ValueError:
-                continue
-        color = _as_color(value)
-        if color is not None:
-            return color
-    return (0, 0, 0, 0)
+    return found_property(name, part.original, part.original.data)
 
 
-def _as_color(value: Any) -> tuple[float, ...] | None:
-    """A number or an array of up to four numbers as RGBA, None for anything else."""
-    try:
-        values = np.atleast_1d(np.asarray(value, np.float32))
-    except (TypeError, ValueError):
-        return None
-    if values.ndim != 1 or not 1 <= len(values) <= 4:
-        return None
-    if len(values) == 1:
-        return (*values.repeat(3), 1)
-    return (*values, *(0, 0, 1)[len(values) - 1 :]) if len(values) < 4 else tuple(values)
+def _of_instancer(part: Part, name: str) -> tuple[float, ...]:
+    """The same of type Instancer: what the instance has, its instancer, or else the object."""
+    if name in part.instancing.attributes:
+        return part.instancing.attributes[name]
+    return found_property(name, *part.instancing.owners, part.original, part.original.data)
 
 
 _OF_MESH: dict[str, Callable[[MeshCopy, str], np.ndarray | None]] = {
@@ -201,4 +200,7 @@ _OF_OBJECT: dict[str, Callable[[Part, str], tuple[float, ...]]] = {
     requests.OBJECT_INDEX: lambda part, name: (part.pass_index,) * 3,
     requests.OBJECT_RANDOM: lambda part, name: (part.random_id / 2**32,) * 3,
     requests.OBJECT_ATTRIBUTE: _property,
+    requests.INSTANCER_ATTRIBUTE: _of_instancer,
+    requests.INSTANCER_GENERATED: lambda part, name: part.instancing.generated,
+    requests.INSTANCER_UV: lambda part, name: (*part.instancing.uv, 0.0),
 }

@@ -16,7 +16,8 @@ import numpy as np
 from ...core.errors import SceneError
 from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION, Geometry, Skipped
 from ..materials import CompiledMaterials
-from .attributes import Batch, Part, fill, lightmap_uv, unit
+from .attributes import NOT_INSTANCED, Batch, Instancing, Part, fill, lightmap_uv, unit
+from .instances import InstanceAttributes, asked_of_instancers
 from .links import BLOCKERS, RECEIVERS, Links, blocker_bits
 from .meshes import MeshCopy, copy_mesh, face_normals, layer_names
 
@@ -107,6 +108,8 @@ def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None 
     hidden: dict[str, None] = {}
     meshes: dict[int, MeshCopy | None] = {}
     wanted = layer_names() | set(lightmaps.values())
+    names, is_asked = asked_of_instancers()
+    attributes = InstanceAttributes(names)
     view_layer = depsgraph.view_layer_eval
     override = view_layer.material_override
     for instance in depsgraph.object_instances:
@@ -139,6 +142,7 @@ def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None 
                 pass_index=ob.pass_index,
                 lightmap="" if instance.is_instance else lightmaps.get(ob.name, ""),
                 light_group=light_group(instance),
+                instancing=_instancing(instance, attributes) if is_asked and instance.is_instance else NOT_INSTANCED,
                 **(_linked(instance, links) if links else {}),
             )
         )
@@ -148,6 +152,17 @@ def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None 
     if not found.parts:
         found.warnings.append("the scene has no meshes that a render shows")
     return found
+
+
+def _instancing(instance: bpy.types.DepsgraphObjectInstance, attributes: InstanceAttributes) -> Instancing:
+    parent, system = instance.parent.original, instance.particle_system
+    owners = (system and system.settings.original, parent, parent.data)
+    return Instancing(
+        attributes=attributes.of(instance),
+        owners=tuple(owner for owner in owners if owner is not None),
+        generated=tuple(0.5 * x - 0.5 for x in instance.orco),
+        uv=tuple(instance.uv),
+    )
 
 
 def _linked(instance: bpy.types.DepsgraphObjectInstance, links: Links) -> dict:

@@ -12,7 +12,7 @@ import numpy as np
 from .tangents import tangents
 
 # Attribute types that a shader can read: name of the value in RNA, its number of components.
-_READABLE = {
+READABLE = {
     "FLOAT": ("value", 1),
     "INT": ("value", 1),
     "INT8": ("value", 1),
@@ -81,11 +81,15 @@ def read(collection: bpy.types.bpy_prop_collection, name: str, shape: tuple[int,
     return values
 
 
+def node_trees() -> list[bpy.types.NodeTree]:
+    """All shader node trees of the file, those of groups, too."""
+    trees = [tree for owner in (bpy.data.materials, bpy.data.worlds, bpy.data.lights) for data in owner if (tree := data.node_tree)]
+    return trees + [tree for tree in bpy.data.node_groups if tree.type == "SHADER"]
+
+
 def layer_names() -> set[str]:
     """The layers that shader nodes of the file name: only these (and the active ones) are copied."""
-    trees = [tree for owner in (bpy.data.materials, bpy.data.worlds, bpy.data.lights) for data in owner if (tree := data.node_tree)]
-    trees += [tree for tree in bpy.data.node_groups if tree.type == "SHADER"]
-    return {getattr(node, key) for tree in trees for node in tree.nodes for key in _NAMING if hasattr(node, key)} - {""}
+    return {getattr(node, key) for tree in node_trees() for node in tree.nodes for key in _NAMING if hasattr(node, key)} - {""}
 
 
 def copy_mesh(mesh: bpy.types.Mesh, wanted: Collection[str], deformed: bool) -> MeshCopy | None:
@@ -118,8 +122,8 @@ def copy_mesh(mesh: bpy.types.Mesh, wanted: Collection[str], deformed: bool) -> 
     index = {"POINT": corners, "CORNER": loops, "FACE": np.broadcast_to(polygon[:, None], corners.shape)}
     for name in {copy.uv, copy.color, *wanted} - {""}:
         attribute = mesh.attributes.get(name)
-        if attribute is not None and attribute.data_type in _READABLE and attribute.domain in index:
-            copy.layers[name] = _layer(attribute, index[attribute.domain])
+        if attribute is not None and attribute.data_type in READABLE and attribute.domain in index:
+            copy.layers[name] = layer(attribute, index[attribute.domain])
     _drop_loose(copy)
     return copy
 
@@ -160,9 +164,9 @@ def _has_sharp_edges(mesh: bpy.types.Mesh) -> bool:
     return sharp is not None and bool(read(sharp.data, "value", (len(mesh.edges),), np.bool_).any())
 
 
-def _layer(attribute: bpy.types.Attribute, index: np.ndarray) -> np.ndarray:
+def layer(attribute: bpy.types.Attribute, index: np.ndarray) -> np.ndarray:
     """Values of an attribute at the triangles' corners, widened to four components as a shader sees them."""
-    key, components = _READABLE[attribute.data_type]
+    key, components = READABLE[attribute.data_type]
     dtype = {"INT": np.int32, "INT8": np.int32, "BOOLEAN": np.bool_}.get(attribute.data_type, np.float32)
     values = read(attribute.data, key, (len(attribute.data), components), dtype)
     wide = np.zeros((*index.shape, 4), np.float32)

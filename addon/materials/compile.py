@@ -16,7 +16,7 @@ from . import nodes, registry  # noqa: F401  (importing `nodes` fills the regist
 from .bake import Baker
 from .builder import ONE, ZERO, Constant, Program, TooComplex, run
 from .lamps import compile_lamp
-from .requests import BAKED, CompiledMaterials, LampProgram, LampUse, MaterialUse
+from .requests import BAKED, CompiledMaterials, LampProgram, LampUse, MaterialUse, Shot
 from .tree import Context, Scope
 
 _DEFAULT_GREY = Constant(0.8, 0.8, 0.8)
@@ -26,21 +26,25 @@ _TRANSPARENT = {ops.TRANSPARENT_CLOSURE, *_REFRACTIVE}
 _ANGLED = {ops.FRESNEL, ops.FACING, ops.BACKFACING}
 
 
-def compile_materials(uses: Sequence[MaterialUse], *, lamps: Sequence[LampUse] = (), may_bake: bool = True) -> CompiledMaterials:
+def compile_materials(
+    uses: Sequence[MaterialUse], *, lamps: Sequence[LampUse] = (), may_bake: bool = True, shot: Shot | None = None
+) -> CompiledMaterials:
     """Tables of the materials of `uses`, in their order, and after them the programs of `lamps`.
 
     may_bake: Cycles may run now; else what only it can compute comes from an earlier bake, or is left out with a warning.
+    shot: what they may ask of the render, None for nothing of it.
     """
+    shot = Shot() if shot is None else shot
     textures = TexturePool()
     warnings: list[str] = []
     baked_uvs: dict[str, dict[str, np.ndarray]] = {}
-    programs = [_program(use, textures, warnings, baked_uvs, may_bake) for use in uses]
+    programs = [_program(use, textures, warnings, baked_uvs, may_bake, shot) for use in uses]
     names = [use.material.name if use.material else "" for use in uses]
     requests = [list(p.requests) for p in programs]
     known: dict[tuple, int] = {}  # lamps that are alike share their program
     compiled = []
     for use in lamps:
-        program, falloff = compile_lamp(use, textures, warnings)
+        program, falloff = compile_lamp(use, textures, warnings, shot)
         if program is None:
             compiled.append(LampProgram())
             continue
@@ -53,7 +57,7 @@ def compile_materials(uses: Sequence[MaterialUse], *, lamps: Sequence[LampUse] =
     return CompiledMaterials(scene.Materials(names, tables), requests, warnings, baked_uvs, compiled)
 
 
-def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked_uvs: dict, may_bake: bool) -> Program:
+def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked_uvs: dict, may_bake: bool, shot: Shot) -> Program:
     program = Program()
     material = use.material
     if material is None or not _uses_nodes(material):
@@ -61,7 +65,7 @@ def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked
         program.emit(ops.DIFFUSE_CLOSURE, color, ZERO, ZERO, ONE)
         return program
     baker = Baker(material, use.objects, may_bake)
-    context = Context(material, program, textures, warnings, baker, use.objects)
+    context = Context(material, program, textures, warnings, baker, use.objects, shot=shot)
     output = material.node_tree.get_output_node("CYCLES") or material.node_tree.get_output_node("ALL")
     if output is None:
         return program

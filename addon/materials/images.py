@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import re
+import tempfile
+from pathlib import Path
+
 import bpy
 import numpy as np
 import OpenImageIO as oiio
@@ -43,12 +48,62 @@ def lookup_flags(image: bpy.types.Image, alpha_used: bool) -> int:
     return flags
 
 
-def load_pixels(image: bpy.types.Image) -> np.ndarray:
-    """(H, W, C) uint8 in the file's encoding, or float32 scene-linear; C is 1, 3 or 4, alpha multiplied in.
+def frame_file(image: bpy.types.Image, user: bpy.types.ImageUser, frame: int) -> str:
+    """The file of an image sequence that shows at a frame of the scene (BKE_image_user_frame_get and BKE_image_user_file_path of Blender)."""
+    count = frame - user.frame_start + 1
+    if user.use_cyclic and user.frame_duration:
+        count = (count - 1) % user.frame_duration + 1
+    number = min(max(count, 0), user.frame_duration) + user.frame_offset
+    path = Path(_absolute(image, image.filepath_raw))
+    digits = list(re.finditer(r"\d+", path.stem))
+    if not digits:
+        return str(path)
+    start, end = digits[-1].span()
+    return str(path.with_name(f"{path.stem[:start]}{number:0{end - start}d}{path.stem[end:]}{path.suffix}"))
 
-    Raises:
-        ImageMissing: there is no such file, or it holds no pixels.
-    """
+
+def tile_files(image: bpy.types.Image) -> dict[tuple[int, int], str | bytes]:
+    """The files of a tiled image (UDIM) by their column and row, or what they held when they were packed."""
+    packed = {os.path.basename(file.filepath): file.packed_file.data for file in image.packed_files}
+    found = {}
+    for tile in image.tiles:
+        column, row = (tile.number - 1001) % 10, (tile.number - 1001) // 10
+        path = image.filepath_raw.replace("<UDIM>", str(tile.number)).replace("<UVTILE>", f"u{column + 1}_v{row + 1}")
+        found[column, row] = packed.get(os.path.basename(path)) or _absolute(image, path)
+    return found
+
+
+def _absolute(image: bpy.types.Image, path: str) -> str:
+    return bpy.path.abspath(path, library=image.library)
+
+
+def _of_file(file: str | bytes) -> tuple[np.ndarray, bool]:
+    """(H, W, C) float32 in a file's own encoding, rows from the bottom, and whether it has more than 8 bits; as Blender's buffers, floats are associated."""
+    if isinstance(file, bytes):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "packed"
+            path.write_bytes(file)
+            return _of_file(str(path))
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    source = oiio.ImageInput.open(file, config)
+    if source is None:
+        oiio.geterror()
+        raise ImageMissing(f"no pixels in '{file}'")
+    spec = source.spec()
+    pixels = source.read_image(0, 0, 0, min(spec.nchannels, 4), oiio.FLOAT)
+    source.close()
+    if pixels is None:
+        raise ImageMissing(f"no pixels in '{file}'")
+    pixels = np.asarray(pixels, np.float32).reshape(spec.height, spec.width, -1)[::-1]
+    is_float = spec.format.basetype != oiio.UINT8
+    if is_float and pixels.shape[2] == 4 and spec.get_int_attribute("oiio:UnassociatedAlpha"):
+        pixels = np.concatenate([pixels[..., :3] * pixels[..., 3:], pixels[..., 3:]], 2)
+    return pixels, is_float
+
+
+def _of_image(image: bpy.types.Image) -> tuple[np.ndarray, bool]:
+    """(H, W, C) float32 of Blender's buffer, and whether it holds floats, which are scene-linear."""
     width, height = image.size
     if not image.has_data:
         # Reading the pixels makes Blender load the file.
@@ -59,20 +114,31 @@ def load_pixels(image: bpy.types.Image) -> np.ndarray:
     channels = image.channels
     pixels = np.empty(width * height * channels, np.float32)
     image.pixels.foreach_get(pixels)
-    pixels = pixels.reshape(height, width, channels)
-    if channels == 2:
+    return pixels.reshape(height, width, channels), image.is_float
+
+
+def load_pixels(image: bpy.types.Image, file: str | bytes | None = None) -> np.ndarray:
+    """(H, W, C) uint8 in the file's encoding, or float32 scene-linear; C is 1, 3 or 4, alpha multiplied in.
+
+    file: of the image's frame or tile, None for all of an image that has none.
+
+    Raises:
+        ImageMissing: there is no such file, or it holds no pixels.
+    """
+    pixels, is_float = _of_image(image) if file is None else _of_file(file)
+    if pixels.shape[2] == 2:
         pixels = pixels[..., [0, 0, 0, 1]]
-    if channels == 4 and (image.alpha_mode == "NONE" or (pixels[..., 3] == 1).all()):
+    if pixels.shape[2] == 4 and (image.alpha_mode == "NONE" or (pixels[..., 3] == 1).all()):
         pixels = pixels[..., :3]
     space = image.colorspace_settings.name
-    if not image.is_float and space != "sRGB" and space not in _LINEAR:
+    is_plain = space == "sRGB" or space in _LINEAR
+    if not is_plain and not (is_float and file is None):
         pixels = _to_linear(image, pixels)
-    elif image.is_float and lookup_flags(image, False) & textures.SRGB:
+    elif is_float and file is None and lookup_flags(image, False) & textures.SRGB:
         pixels = _encoded(pixels, premultiplied=not _keeps_alpha_apart(image))
     if pixels.shape[2] == 4 and not _keeps_alpha_apart(image):
-        pixels = _associated(image, pixels)
-    as_bytes = not image.is_float and (space == "sRGB" or space in _LINEAR)
-    return (pixels * 255 + 0.5).astype(np.uint8) if as_bytes else np.ascontiguousarray(pixels)
+        pixels = _associated(image, pixels, is_float)
+    return np.ascontiguousarray(pixels) if is_float or not is_plain else (pixels * 255 + 0.5).astype(np.uint8)
 
 
 def _encoded(pixels: np.ndarray, premultiplied: bool) -> np.ndarray:
@@ -83,7 +149,7 @@ def _encoded(pixels: np.ndarray, premultiplied: bool) -> np.ndarray:
     return np.concatenate([encoded * alpha, pixels[..., 3:]], 2).astype(np.float32)
 
 
-def _alpha_power(image: bpy.types.Image) -> int:
+def _alpha_power(image: bpy.types.Image, is_float: bool) -> int:
     """Power of alpha by which Cycles' colours differ from those in Blender's buffer (straight bytes, multiplied floats).
 
     Cycles 5 multiplies where the mode says straight.  Cycles 4 multiplies what it finds in a file whatever
@@ -92,19 +158,19 @@ def _alpha_power(image: bpy.types.Image) -> int:
     own = _read_by_cycles(image)
     straight = image.alpha_mode == "STRAIGHT"
     if bpy.app.version >= (5, 0):
-        if image.is_float:
+        if is_float:
             return int(straight and not own)
         return int(straight or own)
-    if not image.is_float:
+    if not is_float:
         return 2 if own and not straight else 1
     if not own:
         return 0
     return (0 if straight else 1) - (image.file_format in _ALWAYS_ASSOCIATED)
 
 
-def _associated(image: bpy.types.Image, pixels: np.ndarray) -> np.ndarray:
+def _associated(image: bpy.types.Image, pixels: np.ndarray, is_float: bool) -> np.ndarray:
     """Colours with alpha multiplied in as Cycles has them."""
-    power = _alpha_power(image)
+    power = _alpha_power(image, is_float)
     if power == 0:
         return pixels
     alpha = pixels[..., 3:]

@@ -20,7 +20,7 @@ from ...core.surfaces.textures import TexturePool
 from . import requests as rq
 from .builder import ONE, ZERO, Constant, Given, Program, Table, TooComplex, Value, run, scalar
 from .registry import Unsupported
-from .requests import LampUse
+from .requests import LampUse, Shot
 from .tree import Context, Fading, Scope
 
 _NORMAL, _INCOMING, _PLACE = Given(ops.LAMP_NORMAL), Given(ops.LAMP_INCOMING), Given(ops.LAMP_PLACE)
@@ -131,18 +131,18 @@ def _sun_uv(program: _Program) -> Value:
 _UVS = {"POINT": _sphere_uv, "SPOT": _spot_uv, "AREA": _area_uv, "SUN": _sun_uv}
 
 
-def compile_lamp(use: LampUse, textures: TexturePool, warnings: list[str]) -> tuple[Program | None, tuple[float, float]]:
+def compile_lamp(use: LampUse, textures: TexturePool, warnings: list[str], shot: Shot) -> tuple[Program | None, tuple[float, float]]:
     """The program of a lamp's tree and its falloff as `core.scene.Lamps` has it; None, with a warning, where there is none."""
     fading = Fading()
     try:
-        program = _built(use, textures, warnings, fading)
+        program = _built(use, textures, warnings, fading, shot)
         falloff = next(iter(fading.found), (0.0, 0.0))
         if fading.found != {(0.0, 0.0)} and fading.found:
             if use.light.type == "SUN":
                 falloff = (falloff[0], 0.0)  # infinitely far away, where nothing is smoothed
                 if falloff[0]:
                     raise Unsupported("Light Falloff makes a sun depend on the distance")
-            if len(fading.found) > 1 or not _is_proportional(use, program, textures, warnings):
+            if len(fading.found) > 1 or not _is_proportional(use, program, textures, warnings, shot):
                 raise Unsupported("its light is not in proportion to one Light Falloff")
     except (Unsupported, TooComplex) as reason:
         reason = "there are too many" if isinstance(reason, TooComplex) else reason
@@ -153,19 +153,19 @@ def compile_lamp(use: LampUse, textures: TexturePool, warnings: list[str]) -> tu
     return program, falloff
 
 
-def _built(use: LampUse, textures: TexturePool, warnings: list[str], fading: Fading) -> _Program:
+def _built(use: LampUse, textures: TexturePool, warnings: list[str], fading: Fading, shot: Shot) -> _Program:
     program = _Program(use=use)
     output = use.light.node_tree.get_output_node("CYCLES") or use.light.node_tree.get_output_node("ALL")
-    context = Context(use.light, program, textures, warnings, _NoBaker(), fading=fading, is_lamp=True)
+    context = Context(use.light, program, textures, warnings, _NoBaker(), fading=fading, is_lamp=True, shot=shot)
     if output is not None:
         Scope(context, use.light.node_tree).shade(output.inputs["Surface"], ONE)
     program.assemble(ops.OWN_ROWS)  # a tree that is too complex is found here
     return program
 
 
-def _is_proportional(use: LampUse, program: _Program, textures: TexturePool, warnings: list[str]) -> bool:
+def _is_proportional(use: LampUse, program: _Program, textures: TexturePool, warnings: list[str], shot: Shot) -> bool:
     """Whether a lamp's light is in proportion to its Light Falloff nodes, as far as some rays show."""
-    none, double = (_values(_built(use, textures, warnings, Fading(strength)), textures) for strength in (0.0, 2.0))
+    none, double = (_values(_built(use, textures, warnings, Fading(strength), shot), textures) for strength in (0.0, 2.0))
     return not none.any() and np.allclose(double, 2 * _values(program, textures), rtol=1e-4)
 
 

@@ -34,6 +34,9 @@ OBJECT_COLOR = "object_color"  # `Object.color`, RGB and alpha
 OBJECT_INDEX = "object_index"  # (i, i, i) of `Object.pass_index`
 OBJECT_RANDOM = "object_random"  # (r, r, r), `random_id` of the instance / 2**32
 OBJECT_ATTRIBUTE = "object_attribute"  # custom property `name` of the object, else of its data, as Attribute node of type Object
+INSTANCER_ATTRIBUTE = "instancer_attribute"  # `name` of the instance, its instancer or else the object, as Attribute node of type Instancer
+INSTANCER_GENERATED = "instancer_generated"  # where an instance stands on its instancer, and its UV there; zeros for what is no instance
+INSTANCER_UV = "instancer_uv"
 INCOMING = "incoming"  # direction in which light leaves a lamp, in world space; known of lamps alone, and so is
 LOCAL_INCOMING = "local_incoming"  # the same in the lamp's own space
 PARAMETRIC = "parametric"  # Geometry's output of that name
@@ -60,6 +63,22 @@ class MaterialUse:
 
     material: bpy.types.Material | None
     objects: tuple[bpy.types.Object, ...] = ()
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What materials may ask of the render that they are in.
+
+    frame: of the scene, which image sequences follow.  camera: the object's name, '' for none that stays where it is.
+    window: left, right, bottom, top edge of its picture at distance 1 (m), or in metres if orthographic.
+    owners: whose properties Attribute nodes of type View Layer read, in this order.
+    """
+
+    frame: int = 1
+    camera: str = ""
+    window: tuple[float, float, float, float] = (-0.5, 0.5, -0.5, 0.5)
+    orthographic: bool = False
+    owners: tuple[bpy.types.ViewLayer | bpy.types.ID, ...] = ()
 
 
 @dataclass(frozen=True)

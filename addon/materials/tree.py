@@ -11,11 +11,19 @@ from ...core.surfaces.arithmetic import SCALAR, VECTOR
 from . import registry
 from .bake import Baker
 from .builder import ONE, ZERO, Constant, Program, Value, scalar
-from .requests import BAKED
+from .requests import BAKED, Shot
 
 if TYPE_CHECKING:
     import bpy
 
+# What a bake cannot know, by node and output ('' is all of them).
+_BLIND = {
+    ("ShaderNodeTexCoord", "Reflection"): "as seen from right above the surface",
+    ("ShaderNodeNewGeometry", "Incoming"): "as seen from right above the surface",
+    ("ShaderNodeAmbientOcclusion", ""): "without the objects of other materials around",
+    ("ShaderNodeParticleInfo", ""): "without particles, all of which look alike",
+    ("ShaderNodePointInfo", ""): "without points, all of which look alike",
+}
 _SCALARS = ("VALUE", "INT", "BOOLEAN")
 
 
@@ -36,6 +44,7 @@ class Context:
 
     fading: of a lamp, where its Light Falloff nodes put down what they are; None where there is no distance to fade by.
     is_lamp: whether it is the tree of a lamp, run for each ray that leaves it.
+    shot: what it may ask of the render.
     """
 
     material: bpy.types.Material
@@ -47,6 +56,7 @@ class Context:
     memory: dict = field(default_factory=dict)
     fading: Fading | None = None
     is_lamp: bool = False
+    shot: Shot = field(default_factory=Shot)
 
     def warn(self, text: str) -> None:
         """One line for the user, once for each material."""
@@ -132,7 +142,9 @@ class Scope:
             pixels = context.baker.bake(self, socket)
         except registry.Unsupported as obstacle:
             raise registry.Unsupported(f"{reason}, and it cannot be baked: {obstacle}") from None
-        context.warn(f"{reason}; its output '{socket.name}' was baked by Cycles")
+        kind = socket.node.bl_idname
+        blind = _BLIND.get((kind, socket.name)) or _BLIND.get((kind, ""))
+        context.warn(f"{reason}; its output '{socket.name}' was baked by Cycles" + (f", {blind}" if blind else ""))
         key = "baked", context.material.name_full, self.path, socket.node.name, socket.identifier
         texture = context.textures.add(key, lambda: pixels, textures.EXTEND, textures.LINEAR, 0)
         at = context.program.attribute(BAKED, context.material.name_full)

@@ -17,6 +17,7 @@ from numba.extending import intrinsic
 
 from ..jit import c_function, inlined
 from . import arithmetic, bumps, colors, noise, procedural, textures
+from .voronoi import FEATURES, METRICS, voronoi
 
 F = np.float32
 
@@ -49,11 +50,27 @@ FIRST_PATTERN = 96
     MAGIC,  # at a, b (scale, distortion), depth p: colour
     BRICK,  # at a, b (mortar, its smoothness, bias, width), c (height, offset, squash), p = offset + 256 squash frequency: tint, mortar
 ) = range(FIRST_PATTERN, FIRST_PATTERN + 7)
+# -- cells, apart because they are as much code as all other patterns --
+FIRST_CELLS = 128
+VORONOI = FIRST_CELLS  # at a.xyzw, b (detail, roughness, lacunarity, smoothness), c (exponent, randomness); p of `voronoi_parameter`
+VORONOI_OUTPUTS = ("Distance", "Color", "Position", "Radius")
 
 
 def noise_parameter(kind: str, normalize: bool, dimensions: int, colored: bool) -> int:
     """p of NOISE; `kind` is one of noise.FRACTAL_KINDS, `colored` whether g and b are wanted."""
     return dimensions + 8 * noise.FRACTAL_KINDS.index(kind) + 64 * normalize + 128 * colored
+
+
+def voronoi_parameter(feature: str, metric: str, dimensions: int, normalize: bool, output: str, old: bool) -> int:
+    """p of VORONOI, whose result is one of VORONOI_OUTPUTS; in w of the position is its W.  old: as before Blender 5."""
+    return (
+        dimensions
+        + 8 * FEATURES.index(feature)
+        + 64 * METRICS.index(metric)
+        + 256 * normalize
+        + 512 * VORONOI_OUTPUTS.index(output)
+        + 2048 * old
+    )
 
 
 _ROW = types.CPointer(types.float32)
@@ -122,6 +139,23 @@ def _pattern(op, p, pa, pb, pc, result):
     out[0], out[1], out[2], out[3] = x, y, z, w
 
 
+def _cells(op, p, pa, pb, pc, result):
+    a, b, c = numba.carray(pa, 4), numba.carray(pb, 4), numba.carray(pc, 4)
+    feature, metric, dimensions, normalize, output = (p >> 3) & 7, (p >> 6) & 3, p & 7, (p & 256) != 0, (p >> 9) & 3
+    # One dimension is W's, which `voronoi` has in x.
+    x, w = (a[3], F(0)) if dimensions == 1 else (a[0], a[3])
+    d, red, green, blue, px, py, pz, pw = voronoi(
+        p >> 11 != 0, feature, metric, dimensions, normalize, x, a[1], a[2], w, b[0], b[1], b[2], b[3], c[0], c[1]
+    )
+    out = numba.carray(result, 4)
+    if output == 1:
+        out[0], out[1], out[2], out[3] = red, green, blue, F(1)
+    elif output == 2:
+        out[0], out[1], out[2], out[3] = (F(0), F(0), F(0), px) if dimensions == 1 else (px, py, pz, pw)
+    else:
+        out[0], out[1], out[2], out[3] = d, d, d, F(1)
+
+
 @functools.cache
 def _compiled(function):
     # The object has to live as long as its address is used: the cache keeps it.
@@ -132,9 +166,10 @@ def addresses(operations: set[int]) -> np.ndarray:
     """`MaterialTables.functions` for programs that use these operations; compiles what they need."""
     needed = (
         any(FIRST <= op < FIRST_PATTERN for op in operations),
-        any(op >= FIRST_PATTERN for op in operations),
+        any(FIRST_PATTERN <= op < FIRST_CELLS for op in operations),
+        any(op >= FIRST_CELLS for op in operations),
     )
-    return np.array([_compiled(f).address if use else 0 for f, use in zip((_arithmetic, _pattern), needed)], np.uint64)
+    return np.array([_compiled(f).address if use else 0 for f, use in zip((_arithmetic, _pattern, _cells), needed)], np.uint64)
 
 
 @intrinsic
@@ -156,7 +191,7 @@ def call(functions, op, p, rows, a, b, c, result):
     """Runs one outlined operation on rows a, b, c of `rows` into row `result`."""
     base = np.uint64(rows.ctypes.data)
     stride = np.uint64(16)
-    address = functions[1] if op >= FIRST_PATTERN else functions[0]
+    address = functions[2] if op >= FIRST_CELLS else functions[1] if op >= FIRST_PATTERN else functions[0]
     _call(
         address,
         np.int64(op),

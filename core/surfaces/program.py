@@ -273,5 +273,5 @@ def empty_tables() -> MaterialTables:
         texture_header=np.zeros((1, textures.HEADER), np.int32),
         texels_u8=np.zeros(4, np.uint8),
         texels_f32=np.zeros(4, F),
-        functions=np.zeros(2, np.uint64),
+        functions=np.zeros(3, np.uint64),
     )

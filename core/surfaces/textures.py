@@ -17,11 +17,14 @@ F = np.float32
 
 # Columns of `MaterialTables.texture_header`.
 WIDTH, HEIGHT, CHANNELS, IS_FLOAT, OFFSET, EXTENSION, INTERPOLATION, FLAGS = range(8)
+# Of an image in tiles (UDIM): how many there are across and upwards; the headers of tiles follow its own, row by row from the bottom.
+ACROSS, UPWARDS = 8, 9
 HEADER = 16
 # Extension beyond 0..1.
 REPEAT, EXTEND, CLIP, MIRROR = range(4)
 # Interpolation between texels.
 CLOSEST, LINEAR, CUBIC = range(3)
+MISSING = (1.0, 0.0, 1.0, 1.0)  # what Cycles shows where there is no image
 # Flags.
 SRGB, UNASSOCIATE = 1, 2
 
@@ -52,11 +55,31 @@ class TexturePool:
         if known not in self._known:
             if key not in self._stored:
                 self._stored[key] = self._store(load())
-            height, width, channels, is_float, offset = self._stored[key]
-            header = np.zeros(HEADER, np.int32)
-            header[: FLAGS + 1] = width, height, channels, is_float, offset, extension, interpolation, flags
-            self.headers.append(header)
+            self.headers.append(_header(self._stored[key], extension, interpolation, flags))
             self._known[known] = len(self.headers) - 1
+        return self._known[known]
+
+    def add_tiles(self, key, tiles: dict[tuple[int, int], object], extension: int, interpolation: int, flags: int) -> int:
+        """Index of a texture whose tile (i, j) shows where u and v lose their fraction to i and j; elsewhere it is pink, as in Cycles.
+
+        tiles: of each, what `add` calls `load`.
+        """
+        known = (key, extension, interpolation, flags)
+        if known not in self._known:
+            across, upwards = (1 + max(tile[k] for tile in tiles) for k in range(2))
+            for place, load in tiles.items():
+                if (key, place) not in self._stored:
+                    self._stored[key, place] = self._store(load())
+            if MISSING not in self._stored:
+                self._stored[MISSING] = self._store(np.array([[MISSING]], F))
+            header = np.zeros(HEADER, np.int32)
+            header[ACROSS], header[UPWARDS] = across, upwards
+            self._known[known] = len(self.headers)
+            self.headers.append(header)
+            for j in range(upwards):
+                for i in range(across):
+                    stored = self._stored.get((key, (i, j)))
+                    self.headers.append(_header(stored or self._stored[MISSING], extension, interpolation, flags if stored else 0))
         return self._known[known]
 
     def _store(self, pixels: np.ndarray) -> tuple[int, int, int, int, int]:
@@ -77,6 +100,13 @@ class TexturePool:
         texels_u8 = np.concatenate(self.bytes) if self.bytes else np.zeros(4, np.uint8)
         texels_f32 = np.concatenate(self.floats) if self.floats else np.zeros(4, F)
         return headers, texels_u8, texels_f32
+
+
+def _header(stored: tuple[int, int, int, int, int], extension: int, interpolation: int, flags: int) -> np.ndarray:
+    height, width, channels, is_float, offset = stored
+    header = np.zeros(HEADER, np.int32)
+    header[: FLAGS + 1] = width, height, channels, is_float, offset, extension, interpolation, flags
+    return header
 
 
 @inlined
@@ -153,6 +183,12 @@ def _cubic_weight(k, t):
 def sample(texture_header, texels_u8, texels_f32, texture, u, v):
     """Linear RGB and alpha of texture `texture` at (u, v); a coordinate that is not finite gives black."""
     header = texture_header[texture]
+    if header[ACROSS] > 0:
+        if not (F(-1) < u < F(header[ACROSS]) and F(-1) < v < F(header[UPWARDS])):
+            return F(MISSING[0]), F(MISSING[1]), F(MISSING[2]), F(MISSING[3])
+        i, j = np.int32(u), np.int32(v)  # towards zero, as Cycles does: just below it the first tile goes on
+        header = texture_header[texture + 1 + j * header[ACROSS] + i]
+        u, v = u - F(i), v - F(j)
     width, height = header[WIDTH], header[HEIGHT]
     extension, interpolation = header[EXTENSION], header[INTERPOLATION]
     x, y = u * F(width), v * F(height)

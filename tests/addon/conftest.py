@@ -12,7 +12,7 @@ import pytest
 import lumigate
 from lumigate import sample_scenes
 from lumigate.addon.engine import LumigateEngine
-from lumigate.addon.materials import MaterialUse, compile_materials
+from lumigate.addon.materials import MaterialUse, Shot, compile_materials
 from lumigate.addon.materials import requests as rq
 from lumigate.core.layers import read_exr
 from lumigate.core.surfaces import layout
@@ -117,7 +117,8 @@ class Grid:
             obj.rotation_euler = angle, 0, 0
             obj.location = i % columns, i // columns + 0.5 - half[0], -half[1]
         passes = _render(columns)
-        found = compile_materials([MaterialUse(m, (bpy.data.objects[n],)) for n, (m, _, _) in self.materials.items()])
+        uses = [MaterialUse(m, (bpy.data.objects[n],)) for n, (m, _, _) in self.materials.items()]
+        found = compile_materials(uses, shot=Shot(bpy.context.scene.frame_current))
         self.warnings, self.flags = found.warnings, found.materials.tables.flags
         result = {}
         for i, (name, (_, angle, scale)) in enumerate(self.materials.items()):

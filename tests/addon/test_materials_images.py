@@ -88,7 +88,7 @@ def test_unusual_color_space(grid, node, tmp_path):
         image = written(tmp_path, f"{space}.png", pattern(3))
         image.colorspace_settings.name = space
         grid.add(space, emission(node, image))
-    check(grid, atol=6e-3)
+    check(grid, atol=0.012)
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -172,3 +172,92 @@ def test_coordinates_beyond_all_bounds_are_black():
     pool.add("a", lambda: np.full((2, 2, 3), 255, np.uint8), textures.REPEAT, textures.LINEAR, 0)
     for u in (np.nan, np.inf, -1e30):
         assert textures.sample(*pool.tables(), 0, np.float32(u), np.float32(0.5)) == (0, 0, 0, 0)
+
+
+def tiled(tmp_path, numbers, name="tile.<UDIM>.png", **options):
+    """An image in tiles that differ, one file each."""
+    rng = np.random.default_rng(5)
+    for number in numbers:
+        column, row = (number - 1001) % 10, (number - 1001) // 10
+        file = name.replace("<UDIM>", str(number)).replace("<UVTILE>", f"u{column + 1}_v{row + 1}")
+        image = written(
+            tmp_path, file, rng.random((HEIGHT, WIDTH, 3 + options.get("alpha", False))).astype(np.float32), **options.get("file", {})
+        )
+    image.filepath, image.source = str(tmp_path / name), "TILED"
+    for number in numbers:
+        if number not in {tile.number for tile in image.tiles}:
+            image.tiles.new(number)
+    return image
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("name", ["tile.<UDIM>.png", "tile.<UVTILE>.png"])
+def test_tiles(grid, node, tmp_path, name, packed):
+    image = tiled(tmp_path, (1001, 1002, 1012), name)
+    if packed:
+        image.pack()
+        for file in tmp_path.iterdir():
+            file.unlink()
+    for extension in ("REPEAT", "EXTEND"):
+        grid.add(extension, emission(node, image, extension=extension))
+    check(grid)
+
+
+def test_a_missing_tile_is_pink(grid, node, tmp_path):
+    image = tiled(tmp_path, (1001, 1002))
+    (tmp_path / "tile.1002.png").unlink()
+    grid.add("it", emission(node, image))
+    got = grid.compare()["it"]
+    np.testing.assert_allclose(got.emission, got.passes["Emit"], atol=2e-4)
+    assert [line for line in grid.warnings if "tile.1002.png" in line]
+
+
+@pytest.mark.parametrize("name, depth", [("tile.<UDIM>.exr", oiio.FLOAT), ("tile.<UDIM>.tif", oiio.UINT16)])
+def test_tiles_of_more_than_8_bits(grid, node, tmp_path, name, depth):
+    image = tiled(tmp_path, (1001, 1011), name, file={"depth": depth})
+    for space in ("sRGB", "Non-Color", "AgX Base sRGB"):
+        copy = image.copy()
+        copy.colorspace_settings.name = space
+        grid.add(space, emission(node, copy))
+    check(grid, atol=0.012)
+
+
+def test_tiles_with_alpha(grid, node, tmp_path):
+    image = tiled(tmp_path, (1001, 1002), alpha=True)
+    for mode in ("STRAIGHT", "CHANNEL_PACKED", "NONE"):
+        copy = image.copy()
+        copy.alpha_mode = mode
+        for output in ("Color", "Alpha"):
+            grid.add(f"{mode} {output}", emission(node, copy, output))
+    check(grid, atol=0.01)
+
+
+def sequence(tmp_path):
+    """A film of five frames."""
+    for number in range(1, 6):
+        image = written(tmp_path, f"film_{number:03d}.png", np.full((HEIGHT, WIDTH, 3), 0.15 * number, np.float32))
+    image.filepath, image.source = str(tmp_path / "film_001.png"), "SEQUENCE"
+    return image
+
+
+@pytest.mark.parametrize("frame", [1, 3, 7, 40])
+def test_sequences_follow_the_frame(grid, node, tmp_path, frame):
+    image = sequence(tmp_path)
+    users = {
+        "as it is": dict(frame_duration=5),
+        "later": dict(frame_duration=4, frame_start=3, frame_offset=1),
+        "again": dict(frame_duration=4, use_cyclic=True),
+    }
+    for name, settings in users.items():
+
+        def build(tree, end, settings=settings):
+            made = node(tree, "ShaderNodeTexImage", image=image)
+            for key, value in settings.items():
+                setattr(made.image_user, key, value)
+            emit = tree.nodes.new("ShaderNodeEmission")
+            tree.links.new(made.outputs["Color"], emit.inputs[0])
+            tree.links.new(emit.outputs[0], end.inputs[0])
+
+        grid.add(name, build)
+    bpy.context.scene.frame_set(frame)
+    check(grid)

@@ -4,6 +4,7 @@ import numpy as np
 
 from lumigate.core.surfaces.noise import FRACTAL_KINDS
 from lumigate.core.surfaces.procedural import GRADIENT_KINDS
+from lumigate.core.surfaces.voronoi import FEATURES, METRICS
 
 
 def _place(tree):
@@ -106,3 +107,36 @@ def test_brick(grid):
                 settings = {"offset_frequency": offset, "squash_frequency": squash, "squash": 0.7, "offset": 0.4, "inputs": inputs}
                 grid.emit(f"{output} {smooth} {offset} {squash}", "ShaderNodeTexBrick", output=output, **settings)
     check(grid, outliers=0.02)
+
+
+def test_voronoi(grid):
+    for dimensions in ("1D", "2D", "3D", "4D"):
+        for feature in FEATURES:
+            inputs = {"Vector": _place, "Scale": 2.7, "Randomness": 0.8}
+            if dimensions in ("1D", "4D"):
+                inputs["W"] = _weight
+            if feature == "SMOOTH_F1":
+                inputs["Smoothness"] = 0.6
+            settings = {"voronoi_dimensions": dimensions, "feature": feature}
+            outputs = ["Radius"] if feature == "N_SPHERE_RADIUS" else ["Distance"]
+            if len(feature) < 10:
+                outputs += ["Color"] + ["Position"] * (dimensions != "1D") + ["W"] * (dimensions in ("1D", "4D"))
+            for output in outputs:
+                grid.emit(f"{dimensions} {feature} {output}", "ShaderNodeTexVoronoi", output=output, inputs=inputs, **settings)
+    check(grid, outliers=0.05)  # where two points are equally far
+    assert not grid.warnings
+
+
+def test_voronoi_in_octaves(grid):
+    for feature in ("F1", "F2", "SMOOTH_F1", "DISTANCE_TO_EDGE"):
+        for normalize in (False, True):
+            inputs = {"Vector": _place, "Scale": 2.0, "Detail": 1.4, "Roughness": 0.6, "Lacunarity": 2.2}
+            for output in ["Distance"] + ["Color", "Position"] * (feature != "DISTANCE_TO_EDGE"):
+                settings = {"feature": feature, "normalize": normalize, "inputs": inputs}
+                grid.emit(f"{feature} {normalize} {output}", "ShaderNodeTexVoronoi", output=output, **settings)
+    for metric in METRICS:
+        for feature in ("F1", "F2"):
+            inputs = {"Vector": _place, "Scale": 3.0} | ({"Exponent": 1.7} if metric == "MINKOWSKI" else {})
+            settings = {"feature": feature, "distance": metric, "normalize": True, "inputs": inputs}
+            grid.emit(f"{metric} {feature}", "ShaderNodeTexVoronoi", **settings)
+    check(grid, outliers=0.05)

@@ -268,7 +268,7 @@ def test_a_camera_hidden_in_the_viewport_is_found(flown):
 
 
 @pytest.mark.parametrize(
-    "what", ["object", "lit object", "material", "world", "driver", "child", "follower", "physics", "movie", "handler"]
+    "what", ["object", "lit object", "material", "world", "driver", "child", "follower", "physics", "movie", "handler", "view"]
 )
 def test_what_else_may_change_is_seen(flown, what):
     ob = next(ob for ob in flown.objects if ob.type == "MESH")
@@ -297,6 +297,10 @@ def test_what_else_may_change_is_seen(flown, what):
             bpy.data.images.new("Film", 4, 4).source = "SEQUENCE"
         case "handler":
             handler.append(len)
+        case "view":
+            tree = ob.active_material.node_tree
+            distance = tree.nodes.new("ShaderNodeCameraData").outputs["View Distance"]
+            tree.links.new(distance, tree.nodes["Principled BSDF"].inputs["Roughness"])
     try:
         assert not only_cameras_and_lamps_move(flown)
     finally:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import functools
+import os
+from typing import TYPE_CHECKING
+
 from ....core.surfaces import outlined, textures
 from ....core.surfaces import program as ops
 from ..builder import Constant, Value, scalar
-from ..images import ImageMissing, image_key, load_pixels, lookup_flags
-from ..registry import Unsupported, value
+from ..images import ImageMissing, frame_file, image_key, load_pixels, lookup_flags, tile_files
+from ..registry import value
 from ..requests import NORMAL, UV
 from ..tree import NodeInput
+
+if TYPE_CHECKING:
+    import bpy
 
 _EXTENSIONS = {"REPEAT": textures.REPEAT, "EXTEND": textures.EXTEND, "CLIP": textures.CLIP, "MIRROR": textures.MIRROR}
 _INTERPOLATIONS = {
@@ -17,7 +24,7 @@ _INTERPOLATIONS = {
     "Cubic": textures.CUBIC,
     "Smart": textures.CUBIC,
 }
-_MISSING = Constant(1.0, 0.0, 1.0, 1.0)  # Cycles' pink
+_MISSING = Constant(*textures.MISSING)
 
 
 @value("ShaderNodeTexImage")
@@ -31,17 +38,8 @@ def _texel(node: NodeInput) -> Value:
     image = node.node.image
     if image is None:
         return _MISSING if node.node.outputs else scalar(0)
-    if image.source == "TILED":
-        raise Unsupported(f"image '{image.name}' is tiled (UDIM)")
-    alpha_used = any(link.is_valid for link in node.node.outputs["Alpha"].links)
     try:
-        index = node.context.textures.add(
-            image_key(image),
-            lambda: load_pixels(image),
-            _EXTENSIONS[node.node.extension],
-            _INTERPOLATIONS[node.node.interpolation],
-            lookup_flags(image, alpha_used),
-        )
+        index = _texture(node, image)
     except ImageMissing as missing:
         node.context.warn(f"image '{image.name}' cannot be read ({missing}); it shows as pink")
         return _MISSING
@@ -53,3 +51,22 @@ def _texel(node: NodeInput) -> Value:
     if projection != "FLAT":
         at = node.emit(outlined.PROJECT, at, p=0 if projection == "SPHERE" else 1)
     return node.emit(ops.TEXTURE, at, p=index)
+
+
+def _texture(node: NodeInput, image: bpy.types.Image) -> int:
+    """Index of the image as the node looks it up; ImageMissing where there is none."""
+    pool, key = node.context.textures, image_key(image)
+    alpha_used = any(link.is_valid for link in node.node.outputs["Alpha"].links)
+    lookup = _EXTENSIONS[node.node.extension], _INTERPOLATIONS[node.node.interpolation], lookup_flags(image, alpha_used)
+    if image.source == "TILED":
+        files = tile_files(image)
+        for place, file in list(files.items()):
+            if isinstance(file, str) and not os.path.isfile(file):
+                node.context.warn(f"image '{image.name}' lacks the tile '{file}'; it shows as pink")
+                del files[place]
+        if not files:
+            raise ImageMissing("no tile of it is there")
+        tiles = {place: functools.partial(load_pixels, image, file) for place, file in files.items()}
+        return pool.add_tiles(key, tiles, *lookup)
+    file = frame_file(image, node.node.image_user, node.context.shot.frame) if image.source == "SEQUENCE" else None
+    return pool.add((*key, file), lambda: load_pixels(image, file), *lookup)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from ....core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
 from ....core.surfaces import program as ops
 from ..builder import ONE, ZERO, Constant, Value, scalar
+from ..properties import found_property
 from ..registry import Unsupported, value
 from ..requests import (
     ATTRIBUTE,
@@ -12,6 +13,9 @@ from ..requests import (
     FACE_NORMAL,
     GENERATED,
     INCOMING,
+    INSTANCER_ATTRIBUTE,
+    INSTANCER_GENERATED,
+    INSTANCER_UV,
     NORMAL,
     OBJECT,
     OBJECT_ATTRIBUTE,
@@ -42,12 +46,16 @@ def rgb(node: NodeInput, output: str) -> Value:
 @value("ShaderNodeUVMap")
 def uv_map(node: NodeInput, output: str) -> Value:
     """UV Map."""
+    if node.node.from_instancer:
+        return node.program.attribute(INSTANCER_UV)
     return node.program.attribute(UV, node.node.uv_map)
 
 
 @value("ShaderNodeTexCoord")
 def texture_coordinate(node: NodeInput, output: str) -> Value:
-    """Texture Coordinate, but for the outputs that depend on the camera."""
+    """Texture Coordinate, but for Reflection."""
+    if node.node.from_instancer and output in ("Generated", "UV"):
+        return node.program.attribute(INSTANCER_GENERATED if output == "Generated" else INSTANCER_UV)
     if output == "UV":
         return node.program.attribute(UV)
     if output == "Generated":
@@ -57,7 +65,32 @@ def texture_coordinate(node: NodeInput, output: str) -> Value:
     if output == "Object":
         other = node.node.object
         return node.program.attribute(OBJECT, other.name if other else "")
-    raise Unsupported(f"node '{node.node.name}' reads the output '{output}' of Texture Coordinate, which depends on the camera")
+    if output == "Camera":
+        return _camera_position(node)
+    if output == "Window":
+        shot, at = node.context.shot, _camera_position(node)
+        left, right, bottom, top = shot.window
+        if not shot.orthographic:
+            at = node.vector("DIVIDE", at, node.splat(at, 2))
+        scale = Constant(1 / (right - left), 1 / (top - bottom), 0.0)
+        return node.vector("MULTIPLY_ADD", at, scale, Constant(-left * scale.x, -bottom * scale.y, 0.0))
+    raise Unsupported(f"node '{node.node.name}' reads the output '{output}' of Texture Coordinate, which depends on the view")
+
+
+def _camera_position(node: NodeInput) -> Value:
+    """The point as the camera has it: to the right, up, and away from it (m)."""
+    if not node.context.shot.camera or node.context.is_lamp:
+        raise Unsupported(f"node '{node.node.name}' asks for the camera, and there is none that stays where it is")
+    return node.vector("MULTIPLY", node.program.attribute(OBJECT, node.context.shot.camera), Constant(1.0, 1.0, -1.0))
+
+
+@value("ShaderNodeCameraData")
+def camera_data(node: NodeInput, output: str) -> Value:
+    """Camera Data."""
+    at = _camera_position(node)
+    if output == "View Vector":
+        return node.vector("NORMALIZE", at)
+    return node.splat(at, 2) if output == "View Z Depth" else node.vector("LENGTH", at)
 
 
 @value("ShaderNodeAttribute")
@@ -65,11 +98,12 @@ def attribute(node: NodeInput, output: str) -> Value:
     """Attribute: of the geometry, the object or its instancer."""
     kind, name = node.node.attribute_type, node.node.attribute_name
     if kind == "VIEW_LAYER":
-        raise Unsupported(f"node '{node.node.name}' reads an attribute of the view layer")
+        found = Constant(*found_property(name, *node.context.shot.owners))
+        return node.emit(ops.AVERAGE, found) if output == "Fac" else node.splat(found, 3) if output == "Alpha" else found
     if kind == "GEOMETRY":
         read = node.program.attribute(ATTRIBUTE, name)
     else:
-        read = node.program.attribute(OBJECT_ATTRIBUTE, name)
+        read = node.program.attribute(OBJECT_ATTRIBUTE if kind == "OBJECT" else INSTANCER_ATTRIBUTE, name)
     if output == "Fac":
         # Cycles reads the first component of a UV map, the mean of anything else.
         is_uv = any(name in getattr(o.data, "uv_layers", ()) for o in node.context.objects)

@@ -61,6 +61,26 @@ def noise(node: NodeInput, output: str) -> Value:
     return result if colored else node.splat(result, 0)
 
 
+@value("ShaderNodeTexVoronoi")
+def voronoi(node: NodeInput, output: str) -> Value:
+    """Voronoi Texture, of every feature, metric and dimension."""
+    settings = node.node
+    dimensions = int(settings.voronoi_dimensions[0])
+    feature = settings.feature
+    scale = node["Scale"]
+    at = node.vector("MULTIPLY", _point(node), scale) if dimensions > 1 else ZERO
+    w = node.math("MULTIPLY", node["W"], scale) if dimensions in (1, 4) else ZERO
+    at = node.pack(node.splat(at, 0), node.splat(at, 1), node.splat(at, 2) if dimensions > 2 else ZERO, w)
+    shape = node.pack(node["Detail"], node["Roughness"], node["Lacunarity"], node["Smoothness"])
+    metric = settings.distance if dimensions > 1 and feature in ("F1", "F2", "SMOOTH_F1") else "EUCLIDEAN"
+    wanted = "Position" if output == "W" else output
+    p = outlined.voronoi_parameter(feature, metric, dimensions, settings.normalize, wanted, bpy.app.version < (5, 0))
+    found = node.emit(outlined.VORONOI, at, shape, node.pack(node["Exponent"], node["Randomness"]), p=p)
+    if output == "W":
+        return node.math("DIVIDE", node.splat(found, 3), scale)
+    return node.vector("DIVIDE", found, scale) if output == "Position" else found
+
+
 _DIRECTIONS = {"X": 0, "Y": 1, "Z": 2, "DIAGONAL": 3, "SPHERICAL": 3}
 _PROFILES = {"SIN": 0, "SAW": 1, "TRI": 2}
 

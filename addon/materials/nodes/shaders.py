@@ -38,6 +38,11 @@ def _warn_anisotropy(node: NodeInput, key: str) -> None:
         node.warn("anisotropy is left out: highlights and reflections are round")
 
 
+def _warn_film(node: NodeInput) -> None:
+    if node.has("Thin Film Thickness") and not _is(node["Thin Film Thickness"], 0):
+        node.warn("the thin film is left out: its colours do not show")
+
+
 @closure("ShaderNodeBsdfPrincipled")
 def principled(node: NodeInput, weight: Value) -> None:
     """Principled BSDF v2: alpha, sheen, coat, emission, metal, transmission, dielectric over diffuse."""
@@ -55,6 +60,7 @@ def principled(node: NodeInput, weight: Value) -> None:
         lobe = node.pack(sheen, node["Sheen Roughness"])
         weight = node.emit(ops.SHEEN_CLOSURE, lobe, node["Sheen Tint"], ZERO, weight)
     _warn_anisotropy(node, "Anisotropic")
+    _warn_film(node)
     coat = node["Coat Weight"]
     if not _is(coat, 0):
         lobe = node.pack(coat, node["Coat Roughness"], node["Coat IOR"])
@@ -157,6 +163,7 @@ def metallic(node: NodeInput, weight: Value) -> None:
     """Metallic BSDF: by base colour and edge tint (F82), or by the conductor's n and k."""
     _normal(node)
     _warn_anisotropy(node, "Anisotropy")
+    _warn_film(node)
     base, edge = node["Base Color"], node["Edge Tint"]
     if node.node.fresnel_type == "PHYSICAL_CONDUCTOR":
         n, k = node["IOR"], node["Extinction"]
@@ -173,6 +180,7 @@ def metallic(node: NodeInput, weight: Value) -> None:
 def glass(node: NodeInput, weight: Value) -> None:
     """Glass BSDF: through with its colour, blurred but not bent."""
     _warn_straight(node, "glass")
+    _warn_film(node)
     color = node["Color"]
     node.emit(ops.GLASS_CLOSURE, color, node.pack(node["Roughness"], node["IOR"]), color, weight)
 
