@@ -215,6 +215,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                     w * wb,
                     _1,
                     _1,
+                    _1,
                 )
     return rays
 

@@ -62,14 +62,15 @@ DIMENSIONS = 100
 @leaf
 def scatter_light(
     scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, lamp_rays, diffuse, seed, path, at,
-    out, shine, i, kr, kg, kb, sheen,
+    out, shine, beneath, i, kr, kg, kb, sheen, aside,
 ):  # fmt: skip
     """What a surface sends towards w at first hand, and a ray that finds the rest.
 
     on: its triangle.  (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
     overwritten.  lobe: (LOBE,) float32, scratch.  entered: solids of glass that the surface lies in, to its view.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn.  at: first dimension.
-    out, shine: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, of what
+    out, shine, beneath: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, of what
     comes through, and of a `WIDE` glossy lobe, to that of `out`, of another glossy one, times `sheen`, to that of `shine`.
+    Light from below the facet, which a smooth surface has by shadow rays alone, goes to `beneath`, times `aside`: no particle lands there.
 
     Returns (dx, dy, dz, wr, wg, wb, kinds): the ray's direction, its weight and its kind, 0 where there is none.
     """
@@ -94,6 +95,10 @@ def scatter_light(
         )  # fmt: skip
         if e < 0:
             continue
+        if across <= _0:
+            if tilt > _0:
+                continue
+            r, g, b = aside * r, aside * g, aside * b
         c = 3 * scene.emitters.light_group[e]
         r, g, b = kr * share * r, kg * share * g, kb * share * b
         lit = shadowing(tilt, across)
@@ -117,15 +122,16 @@ def scatter_light(
                 r, g, b = lit * r * (dr + more * hr), lit * g * (dg + more * hg), lit * b * (db + more * hb)
             else:
                 r, g, b = lit * r * dr, lit * g * dg, lit * b * db
-            if roughness < WIDE:
+            if roughness < WIDE and across > _0:
                 shine[i, c] += sheen * fr
                 shine[i, c + 1] += sheen * fg
                 shine[i, c + 2] += sheen * fb
             else:
                 r, g, b = r + fr, g + fg, b + fb
-        out[i, c] += r
-        out[i, c + 1] += g
-        out[i, c + 2] += b
+        to = out if across > _0 else beneath
+        to[i, c] += r
+        to[i, c + 1] += g
+        to[i, c + 2] += b
     set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
     glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
     dull = _THIRD * (dr + dg + db) if diffuse else _0
@@ -161,7 +167,7 @@ def scatter_light(
 @leaf
 def path_light(
     scene, packet, rows, surface, lobe, cache, near, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, bounces, seed, path,
-    out, i, kr, kg, kb, own, sheen,
+    out, i, kr, kg, kb, own, sheen, whole,
 ):  # fmt: skip
     """Adds one sample of pi times the radiance that a surface sends towards w, weighed by k, to row i of `out`.
 
@@ -169,7 +175,8 @@ def path_light(
 
     The arguments as in `scatter_light`.  bounces: diffuse reflections at most; the first one after a lamp counts even if it
     is glossy.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
-    own: how much of the lamps' light that the first surface reflects counts, sheen: of that which it reflects as a glossy one.
+    own: how much of the lamps' light that the first surface reflects counts, sheen: of that which it reflects as a glossy one,
+    whole: of that which comes from below its facet.
     out: (N, 3 G) float32 W/m^2, three columns for each light group.
     """
     wr = wg = wb = _1
@@ -179,9 +186,10 @@ def path_light(
         at = vertex * DIMENSIONS
         first = own if vertex == 0 else _1
         shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
+        aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1
         dx, dy, dz, tr, tg, tb, kinds = scatter_light(
             scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, 1, left > 0, seed, path, at,
-            out, out, i, first * kr * wr, first * kg * wg, first * kb * wb, shine,
+            out, out, out, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
         )  # fmt: skip
         if kinds == 0:
             break
@@ -246,7 +254,7 @@ def _tail_chunk(scene, cache, near, points, further, begin, end, bounces, seed, 
             scene, packet, rows, surface, lobe, cache, near, points.triangle[i], points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
             points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], np.int64(points.entered[i]), most, seed, np.uint32(i),
-            out, i, weight, weight, weight, _1, _1,
+            out, i, weight, weight, weight, _1, _1, _1,
         )  # fmt: skip
 
 
