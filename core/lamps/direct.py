@@ -223,7 +223,9 @@ def _shadow_ray_from(scene, triangle, e, u, v, px, py, pz, gx, gy, gz, error, dx
     if across < LOW and triangle >= 0:
         lx, ly, lz = lift(scene.vertices, scene.triangles, scene.corner_normals, triangle, px, py, pz, gx, gy, gz, dx, dy, dz)
         px, py, pz = px + lx, py + ly, pz + lz
-        if t < np.float32(np.inf) and max(abs(lx), abs(ly), abs(lz)) > _0:  # to the lamp from there: beside the old way it may end in a wall
+        if (
+            t < np.float32(np.inf) and max(abs(lx), abs(ly), abs(lz)) > _0
+        ):  # to the lamp from there: beside the old way it may end in a wall
             dx, dy, dz = t * dx - lx, t * dy - ly, t * dz - lz
             t = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz))
             inverse = _1 / max(t, np.float32(1e-20))
@@ -296,9 +298,7 @@ def direct_sample_at(
         return _0, _0, _0, _0, -1, _0
     w = cosine * total / (chosen_estimate * probability)
     if emitters.flags[e] & CASTS_SHADOW:
-        ox, oy, oz, dx, dy, dz, end = _shadow_ray_from(
-            scene, triangle, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t, across
-        )
+        ox, oy, oz, dx, dy, dz, end = _shadow_ray_from(scene, triangle, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t, across)
         tr, tg, tb, _ = passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered)
         r, g, b = r * tr, g * tg, b * tb
     return w * r, w * g, w * b, cosine, e, across

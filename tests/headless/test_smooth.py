@@ -41,7 +41,14 @@ def pictures():
     box(scene, "Room", (0, 0, 1.5), (4, 4, 3), grey, inwards=True)
     box(scene, "Box", (0, 0.2, 0.5), (1.6, 1.4, 0.96), white).rotation_euler[2] = 0.4
     lamp(
-        scene, "SPOT", (1.9, 0.6, 0.93), (0, math.radians(92), 0), energy=200.0, shadow_soft_size=0.02, spot_size=math.radians(40), spot_blend=0.2
+        scene,
+        "SPOT",
+        (1.9, 0.6, 0.93),
+        (0, math.radians(92), 0),
+        energy=200.0,
+        shadow_soft_size=0.02,
+        spot_size=math.radians(40),
+        spot_blend=0.2,
     )
     look(scene, (-0.4, -1.9, 2.2), (math.radians(58), 0, 0), lens=22)
     reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=SIZE, bounces=2))
