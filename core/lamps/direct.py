@@ -255,7 +255,7 @@ def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered
 def direct_sample_at(
     scene, packet, rows, surface, triangle, glossy, x, y, z, error, gx, gy, gz, sx, sy, sz, entered, seed, path, dimension
 ):
-    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine and the emitter of its light (-1: none), and its cosine with g; the mean is exact.
+    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine, emitter (-1: none), cosine with g and direction (x, y, z) of its light; the mean is exact.
 
     That cosine is 0 or less where light comes from below the facet, yet above the smooth surface.
     For the tails of paths: random numbers are hashed from (seed, path, dimension, 0..3).
@@ -308,7 +308,7 @@ def direct_sample_at(
 @leaf
 def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
     """The irradiance of `direct_sample_at`."""
-    r, g, b, *_ = direct_sample_at(
+    r, g, b, _, _, _, _, _, _ = direct_sample_at(
         scene, packet, rows, surface, -1, False, x, y, z, error, gx, gy, gz, sx, sy, sz, OUTSIDE, seed, path, dimension
     )
     return r, g, b
