@@ -68,7 +68,7 @@ from .transport import Transport
 
 _EMISSION_DIMENSIONS = 5  # Sobol dimensions that a particle's birth takes
 _MAX_PASSED = 64  # transparent surfaces that one flight passes at most
-_MAX_ADJOINT = np.float32(8.0)  # bound of |ns.w| / |ng.w|: beyond it a smooth normal is far from its triangle
+_MAX_ADJOINT = np.float32(64.0)  # bound of |ns.w| / |ng.w|: beyond it, on a facet seen edge on, lies a hundredth of the light
 _MORE_SURFACES = 4  # that a path may meet beyond its diffuse bounces, by glossy reflections and through translucent surfaces
 LEAST_POWER = 1.0  # of the mean share of its light that a particle keeps at a first surface: what surely flies on by `trace_by_power`
 # Most `sharpness` of lights by `trace_by_power`: narrower ones are seen as spots, for there are only so many of them.

@@ -215,6 +215,28 @@ def shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error, dx, dy, dz, t):
 
 
 @leaf
+def _shadow_ray_from(scene, triangle, e, u, v, px, py, pz, gx, gy, gz, error, dx, dy, dz, t, across):
+    """The `shadow_ray` from the point p of a triangle (-1 for none) to the light at distance t along d, as Cycles has it leave smooth surfaces.
+
+    across: cosine of d with g.  Where it is 0 or less, the light comes from below the facet.
+    """
+    if across < LOW and triangle >= 0:
+        lx, ly, lz = lift(scene.vertices, scene.triangles, scene.corner_normals, triangle, px, py, pz, gx, gy, gz, dx, dy, dz)
+        px, py, pz = px + lx, py + ly, pz + lz
+        if (
+            t < np.float32(np.inf) and max(abs(lx), abs(ly), abs(lz)) > _0
+        ):  # to the lamp from there: beside the old way it may end in a wall
+            dx, dy, dz = t * dx - lx, t * dy - ly, t * dz - lz
+            t = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz))
+            inverse = _1 / max(t, np.float32(1e-20))
+            dx, dy, dz = inverse * dx, inverse * dy, inverse * dz
+    if across <= _0:  # start above, from where `shadow_ray` goes down by half: the facet is in the way of what does not pass beside it
+        rise = np.float32(2.0) * error
+        px, py, pz = px + rise * gx, py + rise * gy, pz + rise * gz
+    return shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error, dx, dy, dz, t)
+
+
+@leaf
 def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered):
     """Share of light (r, g, b) of emitter e that a shadow ray lets through up to t = end, and the share of that which passed no glass.
 
@@ -233,8 +255,9 @@ def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered
 def direct_sample_at(
     scene, packet, rows, surface, triangle, glossy, x, y, z, error, gx, gy, gz, sx, sy, sz, entered, seed, path, dimension
 ):
-    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine and the emitter of its light (-1: none), and its cosine with g; the mean is exact.
+    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine, emitter (-1: none), cosine with g and direction (x, y, z) of its light; the mean is exact.
 
+    That cosine is 0 or less where light comes from below the facet, yet above the smooth surface.
     For the tails of paths: random numbers are hashed from (seed, path, dimension, 0..3).
     scene: Transport.  packet, rows, surface: scratch.  triangle: that the point is of, -1 for none.
     glossy: whether what shines on glossy surfaces alone counts.
@@ -256,7 +279,7 @@ def direct_sample_at(
                 u = (u - p) / (_1 - p)
             u = min(u, np.float32(0.99999994))
     if chosen < 0:
-        return _0, _0, _0, _0, -1, _0
+        return _0, _0, _0, _0, -1, _0, _0, _0, _0
     e, probability = emitters.groups[chosen], _1
     if e < 0:
         tree = emitters.tree
@@ -264,26 +287,28 @@ def direct_sample_at(
             tree.nodes, tree.two_sided, tree.children, tree.root, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 1)
         )
         if e < 0 or not _counts(scene, e, triangle, glossy):
-            return _0, _0, _0, _0, -1, _0
+            return _0, _0, _0, _0, -1, _0, _0, _0, _0
     dx, dy, dz, t, r, g, b, u, v = sample_emitter(
         emitters, e, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 2), uniform(seed, path, dimension, 3), rows, surface
     )
-    cosine = sx * dx + sy * dy + sz * dz
-    if cosine <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
-        return _0, _0, _0, _0, -1, _0
-    across = gx * dx + gy * dy + gz * dz
+    cosine, across = sx * dx + sy * dy + sz * dz, gx * dx + gy * dy + gz * dz
+    if cosine <= _0 or not max(r, g, b) > _0:
+        return _0, _0, _0, _0, -1, _0, _0, _0, _0
+    if across <= _0 and (triangle < 0 or emitters.kind[e] == WORLD):
+        return _0, _0, _0, _0, -1, _0, _0, _0, _0
     w = cosine * total / (chosen_estimate * probability)
+    towards = dx, dy, dz
     if emitters.flags[e] & CASTS_SHADOW:
-        ox, oy, oz, dx, dy, dz, end = shadow_ray(scene, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t)
+        ox, oy, oz, dx, dy, dz, end = _shadow_ray_from(scene, triangle, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t, across)
         tr, tg, tb, _ = passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered)
         r, g, b = r * tr, g * tg, b * tb
-    return w * r, w * g, w * b, cosine, e, across
+    return w * r, w * g, w * b, cosine, e, across, *towards
 
 
 @leaf
 def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
     """The irradiance of `direct_sample_at`."""
-    r, g, b, _, _, _ = direct_sample_at(
+    r, g, b, _, _, _, _, _, _ = direct_sample_at(
         scene, packet, rows, surface, -1, False, x, y, z, error, gx, gy, gz, sx, sy, sz, OUTSIDE, seed, path, dimension
     )
     return r, g, b
@@ -490,14 +515,8 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
             return n
     ray[3], ray[4], ray[5], ray[6] = dx, dy, dz, -_1
     if emitters.flags[e] & CASTS_SHADOW:
-        if across < LOW and points.triangle[i] >= 0:
-            lx, ly, lz = lift(scene.vertices, scene.triangles, scene.corner_normals, points.triangle[i], px, py, pz, gx, gy, gz, dx, dy, dz)
-            px, py, pz = px + lx, py + ly, pz + lz
-        if across <= _0:  # start above, from where `shadow_ray` goes down by half: the facet is in the way of what does not pass beside it
-            rise = np.float32(2.0) * points.error[i]
-            px, py, pz = px + rise * gx, py + rise * gy, pz + rise * gz
-        ray[0], ray[1], ray[2], ray[3], ray[4], ray[5], ray[6] = shadow_ray(
-            scene, e, u, v, px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz, t
+        ray[0], ray[1], ray[2], ray[3], ray[4], ray[5], ray[6] = _shadow_ray_from(
+            scene, points.triangle[i], e, u, v, px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz, t, across
         )
     rays.point[n], rays.column[n], rays.turn[n], rays.kinds[n] = k, 3 * emitters.light_group[e], turn, emitters.shadow_kinds[e]
     return n + 1

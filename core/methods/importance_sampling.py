@@ -246,7 +246,7 @@ def _gathered(
         cell = find_cell(
             cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
         )  # fmt: skip
-        own = sheen = _1
+        own = sheen = whole = _1
         more = _0
         if len(cache.radiosity) > bounces:
             more = _1 if is_transmitting(points, k) else seen[lane, _GLOSSY]  # to come through counts as no bounce
@@ -272,7 +272,7 @@ def _gathered(
             share = clamped * cache.share[cell]
             rest = max(_1 - cache.later * share, np.float32(1e-6))
             wr, wg, wb = wr * rest, wg * rest, wb * rest
-            own, sheen = (_1 - share) / rest, (_1 - cache.trust[cell] * clamped) / rest
+            own, sheen, whole = (_1 - share) / rest, (_1 - cache.trust[cell] * clamped) / rest, _1 / rest
         if veiled and encloses(scene.materials.flags[scene.material[triangle]], behind):
             sheen = _0
         if not veiled:
@@ -283,7 +283,7 @@ def _gathered(
             sx, sy, sz = -sx, -sy, -sz
         path_light(
             scene, single, rows, surface, lobe, cache, near, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered,
-            bounces + np.int64(uniform(seed, path, 3, 2) < more), seed, path, out, k, wr, wg, wb, own, sheen,
+            bounces + np.int64(uniform(seed, path, 3, 2) < more), seed, path, out, k, wr, wg, wb, own, sheen, whole, False,
         )  # fmt: skip
 
 

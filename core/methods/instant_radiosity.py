@@ -215,6 +215,8 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                     w * wb,
                     _1,
                     _1,
+                    _1,
+                    False,
                 )
     return rays
 

@@ -48,6 +48,7 @@ class Probes(NamedTuple):
     position, normal: (N, 3) float32, the geometric normal on the side that was met.
     direct: (N, 3 G) float32, pi times the radiance towards the path by direct light, one sample (W/m^2), by light groups.
     shine: (N, 3 G) float32, the part of it that a glossy lobe has reflected, spread as by a diffuse one.
+    beneath: (N, 3 G) float32, the part of it that comes from below the facet of a smooth surface, where particles do not land.
     carry: (N, 3) float32, the same for each unit that the linked surface sends.
     link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
     reflection, 2 by a glossy one.  side, link_side: (N,) int32, as `surface_side` has them.
@@ -58,6 +59,7 @@ class Probes(NamedTuple):
     normal: np.ndarray
     direct: np.ndarray
     shine: np.ndarray
+    beneath: np.ndarray
     carry: np.ndarray
     link_position: np.ndarray
     link_normal: np.ndarray
@@ -75,7 +77,7 @@ class Probes(NamedTuple):
     @staticmethod
     def allocate(n: int, light_groups: int = 1) -> Probes:
         """Room for n probes, none of them valid."""
-        rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, 3 * light_groups, 3 * light_groups, 3, 3, 3)]
+        rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, *[3 * light_groups] * 3, 3, 3, 3)]
         sides = [np.zeros(n, np.int32) for _ in range(2)]
         return Probes(*rows, np.zeros(n, np.uint8), *sides, np.zeros(n, np.float32), np.zeros(n, np.uint8))
 
@@ -278,12 +280,12 @@ def _links(probes, cache, begin, end, seed, link_cell):
 
 def _solve(
     probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, root: np.ndarray, level_of: np.ndarray,
-    near: np.float32, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, threads: int, go_on: Callable[[float], None],
+    near: np.float32, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, beneath: np.ndarray, threads: int, go_on: Callable[[float], None],
 ) -> np.ndarray:  # fmt: skip
     """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
 
     halves: (2, C, 3 G), its `row` again, as half of the paths tell it;  shine: (2, C, 3 G), the part of that which came from lamps
-    and was reflected by a glossy lobe.  first_of: (2, C, 3 G), all that came straight from lamps.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
+    and was reflected by a glossy lobe.  first_of: (2, C, 3 G), all that came straight from lamps.  beneath: (2, C, 3 G), of it what came from below facets.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
 
     Returns (2, C) float32: the weight of the probes of each cell, of either half.
     """
@@ -311,15 +313,15 @@ def _solve(
     unit = np.divide(squares[:, 1], number, out=np.ones(count, np.float32), where=number > 0)
     likeness = _likeness(parent, level_of, number, squares, _THIRD * direct.sum(axis=1))
     _smooth(direct, number, unit, parent, order, likeness)
-    shiny = bool(probes.shine.any())
-    if shiny:
-        shine[:] = summed(weight[:, None] * probes.shine[knows])
+    parts_of = [(part, of) for part, of in ((shine, probes.shine), (beneath, probes.beneath)) if of.any()]
+    for part, of in parts_of:
+        part[:] = summed(weight[:, None] * of[knows])
     # Half of the probes know half as much, of what is around them, too.
     half_likeness = _HALF * likeness
     for h in range(2):
         _smooth(direct_of[h], number_of[h], unit, parent, order, half_likeness)
-        if shiny:
-            _smooth(shine[h], number_of[h], unit, parent, order, half_likeness)
+        for part, _ in parts_of:
+            _smooth(part[h], number_of[h], unit, parent, order, half_likeness)
     sending = link_cell[knows] >= 0
     link, sends = link_cell[knows[sending]], np.cumsum(sending) - 1
     carry = weight[sending, None] * probes.carry[knows[sending]]
@@ -360,6 +362,7 @@ def _solve(
             halves += direct_of
             halves *= scale
             shine *= scale
+            beneath *= scale
             first_of[:] = direct_of * scale
     return number_of
 
@@ -627,7 +630,7 @@ def build_light_cache(
     go_on(0.3)
     level_of, centre, side_of = level_of[:count].copy(), centre[:count].copy(), side_of[:count].copy()
     radiosity = np.zeros((bounces, count, probes.direct.shape[1]), np.float32)
-    halves, shine, first_of = (np.zeros((2, count, probes.direct.shape[1]), np.float32) for _ in range(3))
+    halves, shine, first_of, beneath = (np.zeros((2, count, probes.direct.shape[1]), np.float32) for _ in range(4))
     one = np.float32(1)
     cache = LightCache(
         origin, size, keys, slot, radiosity, halves[0], shine[0], np.zeros(count, np.float32), one, one,
@@ -644,7 +647,7 @@ def build_light_cache(
     row = (bounces if gathered is None else gathered) - 1
     number_of = _solve(
         probes, cells, link_cell, seen_cell, parent, root, level_of, np.float32(NEAR * size), radiosity, row, halves, shine, first_of,
-        threads, go_on,
+        beneath, threads, go_on,
     )  # fmt: skip
     tau = np.float32(max(seen_light(cache, probes, seed + 1), 1e-30))
     half, bright = _half(np.arange(len(probes.valid))), np.zeros((2, count), np.float32)
@@ -655,7 +658,7 @@ def build_light_cache(
     number = number_of.sum(axis=0)
     counts = number_of / np.maximum(number, np.float32(1e-6))
     later += relied * (1 - later)
-    sent, lit, share = divided(halves, shine, first_of, counts, bright, number, tau, parent, np.float32(later), np.float32(relied))
+    sent, lit, share = divided(halves, shine, first_of, beneath, counts, bright, number, tau, parent, np.float32(later), np.float32(relied))
     return cache._replace(sent=sent, lit=lit, share=share, tau=tau, later=np.float32(later), root=root)
 
 

@@ -94,7 +94,7 @@ def _probe_path(
         mirrored = _0 if encloses(scene.materials.flags[scene.material[triangle]], behind) else _1
         tx, ty, tz, r, g, b, kinds = scatter_light(
             scene, packet, rows, surface, lobe, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered, LAMP_RAYS, True, seed, path, at,
-            probes.direct, probes.shine, probe, _1, _1, _1, mirrored,
+            probes.direct, probes.shine, probes.beneath, probe, _1, _1, _1, mirrored, _1, False,
         )  # fmt: skip
         rays += LAMP_RAYS
         probes.carry[probe, 0], probes.carry[probe, 1], probes.carry[probe, 2] = r, g, b
@@ -180,5 +180,6 @@ def _trace(
         return _probe_chunk(scene, seen, start, number, begin, end, depth, turn, np.uint32(seed), found)
 
     rays = sum(run_chunks(work, len(number), CHUNK, threads, progress))
-    np.add(probes.direct, probes.shine, out=probes.direct)
+    for part in (probes.shine, probes.beneath):
+        np.add(probes.direct, part, out=probes.direct)
     return probes, rays
