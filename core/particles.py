@@ -68,11 +68,14 @@ from .transport import Transport
 
 _EMISSION_DIMENSIONS = 5  # Sobol dimensions that a particle's birth takes
 _MAX_PASSED = 64  # transparent surfaces that one flight passes at most
-_MAX_ADJOINT = np.float32(64.0)  # bound of |ns.w| / |ng.w|: beyond it, on a facet seen edge on, lies a hundredth of the light
+# Bound of |ns.w| / |ng.w|: beyond it, on a facet that is met edge on, particles are few and strong.  What they leave is the gather rays' (`methods.tails`).
+MAX_ADJOINT = np.float32(8.0)
 _MORE_SURFACES = 4  # that a path may meet beyond its diffuse bounces, by glossy reflections and through translucent surfaces
 LEAST_POWER = 1.0  # of the mean share of its light that a particle keeps at a first surface: what surely flies on by `trace_by_power`
 # Most `sharpness` of lights by `trace_by_power`: narrower ones are seen as spots, for there are only so many of them.
 SHARPEST = np.float32(32.0)
+# Times what the clamp leaves of a light that is not sharp: no more of a sharp one, which the clamp alone would let be 1 + sharpness times as bright.
+BRIGHTEST = np.float32(8.0)
 # Times 1 / roughness^4: the sharpness of a light that shines about as widely as the lobe that its direction was drawn from.
 _AS_WIDE = np.float32(0.25)
 _MORE = 16  # times as many particles are tried where none has landed
@@ -165,7 +168,7 @@ def _reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2):
     cos_g, cos_s = gx * wx + gy * wy + gz * wz, sx * wx + sy * wy + sz * wz
     if not (cos_g > _0 and cos_s > _0):
         return gx, gy, gz, _0, _0, _0
-    adjoint = min(_MAX_ADJOINT, cos_g / cos_s)
+    adjoint = min(MAX_ADJOINT, cos_g / cos_s)
     return wx, wy, wz, adjoint * r, adjoint * g, adjoint * b
 
 
@@ -373,7 +376,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
                         cos_g = -cos_g
                     cos_s = sx * dx + sy * dy + sz * dz
-                    adjoint = min(_MAX_ADJOINT, max(np.float32(0.0), cos_s / cos_g)) if cos_g < 0 else np.float32(0.0)
+                    adjoint = min(MAX_ADJOINT, max(np.float32(0.0), cos_s / cos_g)) if cos_g < 0 else np.float32(0.0)
                     i = base + lane
                     d = _EMISSION_DIMENSIONS + 2 * bounce
                     if d + 1 < 16:
@@ -417,7 +420,8 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     if glossy:
                         wx, wy, wz, r, g, b = _reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2)
                         r, g, b = r / chance, g / chance, b / chance
-                        axis_x, axis_y, axis_z, sharp = _axis(lobe, sharpest, gx, gy, gz, wx, wy, wz)
+                        # Light that has left a surface before comes from all around: a narrow light for it would be one bright spot for many dim ones.
+                        axis_x, axis_y, axis_z, sharp = _axis(lobe, sharpest if bounce == 0 else _0, gx, gy, gz, wx, wy, wz)
                         # About its axis, it is cut off by the surface; what is left has the light of all of it.
                         lit = np.float32(2.0) / (_1 + _flattened(gx * axis_x + gy * axis_y + gz * axis_z, sharp))
                     else:

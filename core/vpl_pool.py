@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from .jit import kernel
-from .particles import Vpls, trace_particles
+from .particles import BRIGHTEST, Vpls, trace_particles
 from .rays.offsets import shadow_segment
 from .rays.packet import is_occluded, new_packet, set_ray
 from .rays.trace import OPAQUE, occluded_packet
@@ -59,7 +59,7 @@ def _contributions(scene, vpls, begin, end, points, weights, g_max, rays_each, s
             at_light = -(nx * dx + ny * dy + nz * dz)
             spread = r2 + sharp * (r2 - at_light * at_light)
             c *= (np.float32(1.0) + sharp) * max(np.float32(0.0), at_light)
-            f = weights[k] * min(c / max(spread * spread, np.float32(1e-30)), (np.float32(1.0) + sharp) * g_max)
+            f = weights[k] * min(c / max(spread * spread, np.float32(1e-30)), min(np.float32(1.0) + sharp, BRIGHTEST) * g_max)
             light[k] = f
             total += f
         power = (vpls.flux[i, 0] + vpls.flux[i, 1] + vpls.flux[i, 2]) * np.float32(1 / 3)

@@ -29,7 +29,7 @@ _0 = np.float32(0.0)
 def light_up(lights, chosen, px, py, pz, nx, ny, nz, gx, gy, gz, g_max, f, blocks):
     """What each light of a subset gives a point unshadowed into f (K,), its sums by blocks; the sum of all.
 
-    lights: (S, 8, K): position, normal, power times (1 + sharpness) / pi, sharpness.
+    lights: (S, 9, K), as `light_table` has them.
     """
     for k in range(len(f)):
         dx, dy, dz = lights[chosen, 0, k] - px, lights[chosen, 1, k] - py, lights[chosen, 2, k] - pz
@@ -38,7 +38,7 @@ def light_up(lights, chosen, px, py, pz, nx, ny, nz, gx, gy, gz, g_max, f, block
         at_point = min(nx * dx + ny * dy + nz * dz, LARGE * (gx * dx + gy * dy + gz * dz))
         at_light = -(lights[chosen, 3, k] * dx + lights[chosen, 4, k] * dy + lights[chosen, 5, k] * dz)
         spread = r2 + lights[chosen, 7, k] * (r2 - at_light * at_light)
-        f[k] = lights[chosen, 6, k] * min(g_max, max(_0, at_point) * max(_0, at_light) / (spread * spread))
+        f[k] = min(g_max * lights[chosen, 8, k], lights[chosen, 6, k] * max(_0, at_point) * max(_0, at_light) / (spread * spread))
     total = _0
     for block in range(len(blocks)):
         part = _0
@@ -79,7 +79,7 @@ def foreseen(
 ) -> np.ndarray:  # fmt: skip
     """Irradiance (N,) float32, W/m^2, grey, of points of a picture of `shape` (height, width), without noise to speak of.
 
-    lights: (S, 8, K), of which the first subset is summed.  sights: (N, R) uint8, what each point's shadow rays found; blocks: (N, R) uint8,
+    lights: (S, 9, K), of which the first subset is summed.  sights: (N, R) uint8, what each point's shadow rays found; blocks: (N, R) uint8,
     the lights' blocks.  gathered: (N,), what the gather rays found.
     """
     height, width = shape

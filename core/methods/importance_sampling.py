@@ -21,7 +21,7 @@ from ..jit import inlined, kernel, leaf
 from ..lamps import focus_share, focused
 from ..lamps.direct import set_point_lobe
 from ..lamps.escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray
-from ..particles import Vpls, is_ahead, trace_by_power
+from ..particles import BRIGHTEST, Vpls, is_ahead, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
 from ..rays.packet import (
@@ -86,6 +86,7 @@ PATHS_A_POINT = 64  # at most: a view of a few points does not need as many
 # others' as the focus is smaller than the scene: where that is more than this inverse, later bounces are the gather rays' to that extent.
 RELIABLE = 20.0
 NEVER_STRONG = 0.5  # of a strong light: where none is more, all are trusted
+HUGE = 1e30  # a clamp that bounds nothing, and times a light of no power is none
 BATCHES = 4  # of particles: those whose light gather rays carry need not be many
 _WEIGHT, _CARRIED, _REACH, _GLOSSY, _SEEN = 0, 3, 4, 5, 6  # columns of what a gather ray counts for a wide lobe, and is to Cycles
 _0 = np.float32(0.0)
@@ -374,7 +375,7 @@ def _sample_lights(
 ):  # fmt: skip
     """Adds to the points begin..end-1 the light of `counts` (N,) VPLs each, picked by what they give unshadowed; the shadow rays traced.
 
-    Each point looks at a few of the subsets of `lights` (S, 8, K), drawn by a hash.  sights, parts: (N, R), what its rays find, and in
+    Each point looks at a few of the subsets of `lights` (S, 9, K), drawn by a hash.  sights, parts: (N, R), what its rays find, and in
     which of a subset's blocks the light lies.
     """
     size = lights.shape[2]
@@ -469,15 +470,19 @@ def _telling(direct: np.ndarray) -> float:
 
 
 def light_table(vpls: Vpls, subsets: int) -> np.ndarray:
-    """The lights by subsets, (S, 8, K) float32: position, normal, power times (1 + sharpness) / pi, sharpness; zeros fill whole blocks.
+    """The lights by subsets, (S, 9, K) float32; zeros fill whole blocks.
+
+    Rows: position, normal, power times (1 + sharpness) / pi, sharpness, and power / pi times 1 + sharpness, of which no more than `BRIGHTEST`
+    counts, where the clamp of the geometry term decides.
 
     Every subset takes each so-manyth light, so that where neighbours follow each other all subsets look alike.
     """
-    lights = np.zeros((subsets, 8, -(-len(vpls.bounce) // (subsets * BLOCK)) * BLOCK), np.float32)
+    lights = np.zeros((subsets, 9, -(-len(vpls.bounce) // (subsets * BLOCK)) * BLOCK), np.float32)
     for k in range(subsets):
         part = vpls.take(slice(k, None, subsets))
-        power = part.flux.mean(axis=1) * _INV_PI * (_1 + part.sharpness)
-        lights[k, :, : len(part.bounce)] = np.vstack([part.position.T, part.normal.T, power[None], part.sharpness[None]])
+        power, sharp = part.flux.mean(axis=1) * _INV_PI, _1 + part.sharpness
+        rows = [part.position.T, part.normal.T, [sharp * power], [part.sharpness], [np.minimum(sharp, BRIGHTEST) * power]]
+        lights[k, :, : len(part.bounce)] = np.vstack(rows)
     return lights
 
 
@@ -602,7 +607,7 @@ class ImportanceSampling:
         )
         if not len(vpls.bounce) and len(self.cache.share):  # none found their way: gather rays carry all
             self.cache = self.cache._replace(lit=0 * self.cache.lit, share=0 * self.cache.share, trust=0 * self.cache.trust)
-        self.g_max = np.float32(clamp_of(vpls, points))
+        self.g_max = np.float32(min(clamp_of(vpls, points), HUGE))
         order = np.argsort(morton_codes(vpls.position), kind="stable") if len(vpls.bounce) else np.zeros(0, np.int64)
         self.vpls = vpls.take(order)
         self.lights = light_table(self.vpls, max(1, round(len(order) / SUBSET)))

@@ -17,6 +17,7 @@ import numpy as np
 from ..jit import kernel, leaf
 from ..lamps.direct import direct_sample_at
 from ..lamps.tables import GLOSSY_ONLY, SEEN_BY_GLOSSY
+from ..particles import MAX_ADJOINT
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
 from ..references import Reference
@@ -84,7 +85,7 @@ def scatter_light(
     overwritten.  lobe: (LOBE,) float32, scratch.  entered: solids of glass that the surface lies in, to its view.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn.  at: first dimension.
     out, shine, beneath: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, of what
     comes through, and of a `WIDE` glossy lobe, to that of `out`, of another glossy one, times `sheen`, to that of `shine`.
-    Light from below the facet, which a smooth surface has by shadow rays alone, goes to `beneath`, times `aside`: no particle lands there.
+    What comes from below the facet, where no particle lands, or nearly along it, where their weight is bounded, goes to `beneath`, times `aside`.
     directed: whether what a surface that `throws` reflects of lamps has its direction, instead of being spread as by a diffuse lobe.
 
     Returns (dx, dy, dz, wr, wg, wb, kinds): the ray's direction, its weight and its kind, 0 where there is none.
@@ -114,10 +115,8 @@ def scatter_light(
         )  # fmt: skip
         if e < 0:
             continue
-        if across <= _0:
-            if tilt > _0:
-                continue
-            r, g, b = aside * r, aside * g, aside * b
+        if across <= _0 and tilt > _0:
+            continue
         c = 3 * scene.emitters.light_group[e]
         r, g, b = kr * share * r, kg * share * g, kb * share * b
         lit = shadowing(tilt, across)
@@ -152,10 +151,15 @@ def scatter_light(
                 shine[i, c + 2] += sheen * fb
             else:
                 r, g, b = r + fr, g + fg, b + fb
-        to = out if across > _0 else beneath
-        to[i, c] += r
-        to[i, c + 1] += g
-        to[i, c + 2] += b
+        landing = min(_1, MAX_ADJOINT * max(_0, across) / max(cosine, _LOW))
+        out[i, c] += landing * r
+        out[i, c + 1] += landing * g
+        out[i, c + 2] += landing * b
+        if landing < _1:
+            rest = aside * (_1 - landing)
+            beneath[i, c] += rest * r
+            beneath[i, c + 1] += rest * g
+            beneath[i, c + 2] += rest * b
     set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
     glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
     dull = _THIRD * (dr + dg + db) if diffuse else _0

@@ -12,14 +12,14 @@ def floor(width, height):
     points.pixel[:] = np.arange(width * height)
     points.position[:] = np.stack([points.pixel % width, points.pixel // width, 0 * points.pixel], 1) * 1e-5
     points.ns[:] = points.ng[:] = 0, 0, 1
-    lights = np.zeros((1, 8, 2 * BLOCK), np.float32)
-    lights[0, 2], lights[0, 5], lights[0, 6] = 1, -1, 1
+    lights = np.zeros((1, 9, 2 * BLOCK), np.float32)
+    lights[0, 2], lights[0, 5], lights[0, 6], lights[0, 8] = 1, -1, 1, 1
     return points, lights
 
 
 def of(points, lights, shape, sights, blocks, gathered=0.0):
     """Without what is the same everywhere."""
-    found = foreseen(points, shape, lights, np.float32(np.inf), sights, blocks, np.full(len(points.pixel), gathered, np.float32), 2)
+    found = foreseen(points, shape, lights, np.float32(1e30), sights, blocks, np.full(len(points.pixel), gathered, np.float32), 2)
     return found - EVEN / (1 + EVEN) * found.mean()
 
 
@@ -51,7 +51,7 @@ def test_rays_not_traced_tell_nothing():
 
 def test_gather_rays_light_what_lights_do_not():
     points, _ = floor(20, 20)
-    none = np.zeros((1, 8, 0), np.float32)
+    none = np.zeros((1, 9, 0), np.float32)
     found = of(points, none, (20, 20), np.zeros((400, 0), np.uint8), np.zeros((400, 0), np.uint8), gathered=3.0)
     np.testing.assert_allclose(found, 3.0, rtol=1e-5)
     empty = points.take(slice(0, 0))

@@ -308,6 +308,33 @@ def test_what_a_glossy_floor_reflects_keeps_its_direction_and_energy(build, roug
     assert least < centre @ (slant * (1, 1, -1)) < most
 
 
+def test_only_what_comes_straight_from_lamps_is_reflected_by_sharp_lights(build):
+    """A narrow light for light from all around is a bright spot on whatever lies near it."""
+    below = build.quads([(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)])
+    above = build.quads([(-2, -2, 1), (-2, 2, 1), (2, 2, 1), (2, -2, 1)])
+    slabs = build.geometry(np.concatenate([below[0], above[0]]), np.concatenate([below[1], above[1] + len(below[0])]))
+    lamp = build.lamps(build.lamp(sc.POINT, 5.0, position=(0, 0, 0.5)))
+    scene = build.scene(slabs, build.glossy_materials((0.5, 0.0), albedo=0.4, roughness=0.2), lamps=lamp)
+    with RayScene(slabs.vertices, slabs.triangles) as rays:
+        vpls, _ = trace_by_power(transport(slabs, scene.materials.tables, rays.tables, build_emitters(scene)), 2048, 3, seed=1)
+    assert vpls.sharpness[vpls.shine > 0].min() > 1
+    assert (vpls.bounce > 1).any() and vpls.sharpness[vpls.bounce > 1].max() == 0
+
+
+def test_no_sharp_light_is_a_spot(build):
+    """Close to it, a light that shines as a narrow lobe gives no more than eight times what the clamp leaves of one that does not."""
+    vpls = Vpls.allocate(2)
+    vpls.position[:], vpls.normal[:], vpls.flux[:] = (0, 0, 0.01), (0, 0, -1), 1.0
+    vpls.sharpness[:] = 0.0, SHARPEST
+    point, g_max = points_at(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32)), np.float32(4.0)
+    sights, blocks = np.full((1, 1), VISIBLE, np.uint8), np.zeros((1, 1), np.uint8)
+    dull, sharp = (
+        foreseen(point, (1, 1), light_table(vpls.take([k]), 1), g_max, sights, blocks, np.zeros(1, np.float32), 1)[0] for k in (0, 1)
+    )
+    assert dull == pytest.approx((1 + EVEN) * g_max / np.pi, rel=1e-4)
+    assert sharp == pytest.approx(8 * dull, rel=1e-4)
+
+
 @pytest.mark.parametrize("roughness", [0.45, 0.6, 0.8])
 def test_lights_of_a_glossy_floor_together_are_as_wide_as_its_lobe(build, roughness):
     slant = np.array([np.sin(1.0), 0, -np.cos(1.0)])
