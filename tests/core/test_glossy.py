@@ -13,7 +13,6 @@ from lumigate.core.lamps.lookup import can_be_met, emitter_density, lamp_along
 from lumigate.core.lamps.sample import sample_emitter
 from lumigate.core.lamps.tables import WORLD
 from lumigate.core.methods.glossy import has_lobes, reflect
-from lumigate.core.methods.tails import tail_light
 from lumigate.core.pipeline import render
 from lumigate.core.rays import RayScene
 from lumigate.core.settings import RenderSettings
@@ -460,25 +459,3 @@ def test_a_black_tint_takes_all_light_at_82_degrees():
     *_, r, g, b, _ = sample_lobe(row, F(0.3), F(0.3))
     schlick = 0.6 + 0.4 * (6 / 7) ** 5
     assert (r, g, b) == pytest.approx((0, 0.5 * schlick, schlick), abs=2e-3)
-
-
-def tails_towards(scene, views, roughness=0.3):
-    """Mean of what a white metal sends along paths towards the views (N, 3), by lamps alone."""
-    points = points_at(len(views), roughness, f0=1.0, f90=1.0)._replace(
-        wo=np.asarray(views, F), pixel=np.arange(len(views), dtype=np.int32)
-    )
-    return tail_light(scene.tables, points, 1, 3).mean(dtype=float)
-
-
-def test_metal_on_a_path_throws_a_lamps_light_in_its_direction():
-    """Towards the mirror image of the lamp more than aside, and as much in all as arrives."""
-    towards = np.array(view_at(0.7)) * (-1, -1, 1)
-    scene = Set(lamp(sc.POINT, 100.0, position=3 * towards, radius=0.01))
-    n = 4096
-    along, aside = (tails_towards(scene, np.tile(view, (16, 1))) for view in (view_at(0.7), view_at(0.7, math.pi / 2 + 0.54)))
-    assert along > 4 * aside
-    height, angle = np.sqrt((np.arange(n) + 0.5) / n), 2 * math.pi * 0.6180339887 * np.arange(n)
-    sine = np.sqrt(1 - height**2)
-    everywhere = tails_towards(scene, np.column_stack([sine * np.cos(angle), sine * np.sin(angle), height]))
-    irradiance, _ = direct_light(scene.tables, points_at(16, 0.3, albedo=1.0, f0=0.0, f90=0.0), 16, 1)
-    assert everywhere == pytest.approx(irradiance.irradiance.mean(dtype=float), rel=0.05)
