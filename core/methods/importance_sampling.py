@@ -284,7 +284,7 @@ def _gathered(
             sx, sy, sz = -sx, -sy, -sz
         path_light(
             scene, single, rows, surface, lobe, cache, near, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered,
-            bounces + np.int64(uniform(seed, path, 3, 2) < more), seed, path, out, k, wr, wg, wb, own, sheen, whole, False,
+            bounces + np.int64(uniform(seed, path, 3, 2) < more), seed, path, out, k, wr, wg, wb, own, sheen, whole,
         )  # fmt: skip
 
 

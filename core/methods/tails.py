@@ -40,7 +40,7 @@ from ..surfaces.layout import (
     glossy_rise,
     translucency,
 )
-from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, lobe_cosine, lobe_value, sample_lobe, set_lobe
+from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, lobe_cosine, sample_lobe, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.sheen import lit_from
@@ -54,8 +54,6 @@ CHUNK = 1024  # points a chunk
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _THIRD = np.float32(1 / 3)
-_PI = np.float32(np.pi)
-_LOW = np.float32(1e-4)  # least cosine that anything is divided by
 _MORE_SURFACES = 8  # that a path may meet beyond its diffuse bounces, by glossy reflections
 
 # Dimensions of the hash for one vertex of a path.
@@ -63,21 +61,9 @@ DIMENSIONS = 100
 
 
 @leaf
-def throws(surface):
-    """Whether an evaluated surface reflects most of a lamp's light into some directions, as brushed metal does: less widely than `WIDE` lobes."""
-    glossy = surface[GLOSSY_F0] + surface[GLOSSY_F0 + 1] + surface[GLOSSY_F0 + 2]
-    if surface[ROUGHNESS] >= WIDE or not glossy > _0:
-        return False
-    spread = _0
-    for c in range(3):
-        spread += surface[layout.DIFFUSE + c] + surface[layout.TRANSLUCENCY + c]
-    return glossy > spread
-
-
-@leaf
 def scatter_light(
     scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, lamp_rays, diffuse, seed, path, at,
-    out, shine, beneath, i, kr, kg, kb, sheen, aside, directed,
+    out, shine, beneath, i, kr, kg, kb, sheen, aside,
 ):  # fmt: skip
     """What a surface sends towards w at first hand, and a ray that finds the rest.
 
@@ -86,7 +72,6 @@ def scatter_light(
     out, shine, beneath: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, of what
     comes through, and of a `WIDE` glossy lobe, to that of `out`, of another glossy one, times `sheen`, to that of `shine`.
     What comes from below the facet, where no particle lands, or nearly along it, where their weight is bounded, goes to `beneath`, times `aside`.
-    directed: whether what a surface that `throws` reflects of lamps has its direction, instead of being spread as by a diffuse lobe.
 
     Returns (dx, dy, dz, wr, wg, wb, kinds): the ray's direction, its weight and its kind, 0 where there is none.
     """
@@ -99,10 +84,6 @@ def scatter_light(
     hr, hg, hb = surface[SHEEN], surface[SHEEN + 1], surface[SHEEN + 2]
     f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
     f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]
-    directed = directed and throws(surface)
-    if directed:
-        set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, WIDE, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
-        directed = lobe[ALPHA] > _0
     share = _1 / np.float32(lamp_rays)
     shiny = max(f0r, f0g, f0b, f90r, f90g, f90b) > _0
     # As many again on the other side, where light comes through; called in one place, which is as fast as without.
@@ -110,7 +91,7 @@ def scatter_light(
     for k in range(2 * lamp_rays if tr + tg + tb > _0 else lamp_rays):
         if k == lamp_rays:
             side = -_1
-        r, g, b, cosine, e, across, lx, ly, lz = direct_sample_at(
+        r, g, b, cosine, e, across = direct_sample_at(
             scene, packet, rows, surface, on, shiny, x, y, z, error, side * gx, side * gy, side * gz, side * sx, side * sy, side * sz, entered, seed, path, at + 20 + k
         )  # fmt: skip
         if e < 0:
@@ -125,20 +106,15 @@ def scatter_light(
         if side < _0:
             r, g, b = lit * r * tr, lit * g * tg, lit * b * tb
         else:
+            rise = glossy_rise(cosine, roughness)
             seen = _1 if scene.emitters.flags[e] & SEEN_BY_GLOSSY else _0
             fr, fg, fb = seen * r, seen * g, seen * b
-            if directed:
-                lr, lg, lb, _ = lobe_value(lobe, lx, ly, lz)
-                scale = _PI / max(cosine, _LOW)
-                lr, lg, lb = scale * lr, scale * lg, scale * lb
-            else:
-                rise = glossy_rise(cosine, roughness)
-                lr, lg, lb = f0r + rise * (f90r - f0r), f0g + rise * (f90g - f0g), f0b + rise * (f90b - f0b)
-                if er + eg + eb > _0:
-                    dip = ggx.edge_dip(cosine, roughness)
-                    lr = max(lr - er * dip * ggx.edge(f0r, f90r - f0r), _0)
-                    lg = max(lg - eg * dip * ggx.edge(f0g, f90g - f0g), _0)
-                    lb = max(lb - eb * dip * ggx.edge(f0b, f90b - f0b), _0)
+            lr, lg, lb = f0r + rise * (f90r - f0r), f0g + rise * (f90g - f0g), f0b + rise * (f90b - f0b)
+            if er + eg + eb > _0:
+                dip = ggx.edge_dip(cosine, roughness)
+                lr = max(lr - er * dip * ggx.edge(f0r, f90r - f0r), _0)
+                lg = max(lg - eg * dip * ggx.edge(f0g, f90g - f0g), _0)
+                lb = max(lb - eb * dip * ggx.edge(f0b, f90b - f0b), _0)
             fr, fg, fb = fr * lr, fg * lg, fb * lb
             if sheened != _0:
                 more = lit_from(sheened, cosine) - _1
@@ -151,7 +127,7 @@ def scatter_light(
                 shine[i, c + 2] += sheen * fb
             else:
                 r, g, b = r + fr, g + fg, b + fb
-        landing = min(_1, MAX_ADJOINT * max(_0, across) / max(cosine, _LOW))
+        landing = min(_1, MAX_ADJOINT * max(_0, across) / max(cosine, np.float32(1e-4)))
         out[i, c] += landing * r
         out[i, c + 1] += landing * g
         out[i, c + 2] += landing * b
@@ -195,7 +171,7 @@ def scatter_light(
 @leaf
 def path_light(
     scene, packet, rows, surface, lobe, cache, near, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, bounces, seed, path,
-    out, i, kr, kg, kb, own, sheen, whole, directed,
+    out, i, kr, kg, kb, own, sheen, whole,
 ):  # fmt: skip
     """Adds one sample of pi times the radiance that a surface sends towards w, weighed by k, to row i of `out`.
 
@@ -204,7 +180,7 @@ def path_light(
     The arguments as in `scatter_light`.  bounces: diffuse reflections at most; the first one after a lamp counts even if it
     is glossy.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
     own: how much of the lamps' light that the first surface reflects counts, sheen: of that which it reflects as a glossy one,
-    whole: of that which comes from below its facet.  directed: as of `scatter_light`; the cache, which knows no directions, then does not end the path there.
+    whole: of that which comes from below its facet.
     out: (N, 3 G) float32 W/m^2, three columns for each light group.
     """
     wr = wg = wb = _1
@@ -217,7 +193,7 @@ def path_light(
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1
         dx, dy, dz, tr, tg, tb, kinds = scatter_light(
             scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, 1, left > 0, seed, path, at,
-            out, out, out, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside, directed,
+            out, out, out, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
         )  # fmt: skip
         if kinds == 0:
             break
@@ -246,7 +222,7 @@ def path_light(
         if behind:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
         mirrored = _0 if encloses(scene.materials.flags[scene.material[triangle]], behind) else _1
-        if t > near and left < len(cache.radiosity) and not (directed and throws(surface)):
+        if t > near and left < len(cache.radiosity):
             cell = find_cell(
                 cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, at, 60), uniform(seed, path, at, 61)
             )  # fmt: skip
@@ -282,7 +258,7 @@ def _tail_chunk(scene, cache, near, points, further, begin, end, bounces, seed, 
             scene, packet, rows, surface, lobe, cache, near, points.triangle[i], points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
             points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], np.int64(points.entered[i]), most, seed, np.uint32(i),
-            out, i, weight, weight, weight, _1, _1, _1, True,
+            out, i, weight, weight, weight, _1, _1, _1,
         )  # fmt: skip
 
 
