@@ -223,9 +223,8 @@ def _shadow_ray_from(scene, triangle, e, u, v, px, py, pz, gx, gy, gz, error, dx
     if across < LOW and triangle >= 0:
         lx, ly, lz = lift(scene.vertices, scene.triangles, scene.corner_normals, triangle, px, py, pz, gx, gy, gz, dx, dy, dz)
         px, py, pz = px + lx, py + ly, pz + lz
-        if (
-            t < np.float32(np.inf) and max(abs(lx), abs(ly), abs(lz)) > _0
-        ):  # to the lamp from there: beside the old way it may end in a wall
+        # To the lamp from there: beside the old way it may end in a wall.
+        if t < np.float32(np.inf) and max(abs(lx), abs(ly), abs(lz)) > _0:
             dx, dy, dz = t * dx - lx, t * dy - ly, t * dz - lz
             t = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz))
             inverse = _1 / max(t, np.float32(1e-20))
@@ -255,7 +254,7 @@ def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered
 def direct_sample_at(
     scene, packet, rows, surface, triangle, glossy, x, y, z, error, gx, gy, gz, sx, sy, sz, entered, seed, path, dimension
 ):
-    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine, emitter (-1: none), cosine with g and direction (x, y, z) of its light; the mean is exact.
+    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine and the emitter of its light (-1: none), and its cosine with g; the mean is exact.
 
     That cosine is 0 or less where light comes from below the facet, yet above the smooth surface.
     For the tails of paths: random numbers are hashed from (seed, path, dimension, 0..3).

@@ -48,7 +48,7 @@ class Probes(NamedTuple):
     position, normal: (N, 3) float32, the geometric normal on the side that was met.
     direct: (N, 3 G) float32, pi times the radiance towards the path by direct light, one sample (W/m^2), by light groups.
     shine: (N, 3 G) float32, the part of it that a glossy lobe has reflected, spread as by a diffuse one.
-    beneath: (N, 3 G) float32, the part of it that comes from below the facet of a smooth surface, where particles do not land.
+    beneath: (N, 3 G) float32, the part of it that comes from below the facet of a smooth surface, or nearly along it: no particle has it.
     carry: (N, 3) float32, the same for each unit that the linked surface sends.
     link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
     reflection, 2 by a glossy one.  side, link_side: (N,) int32, as `surface_side` has them.
