@@ -128,19 +128,72 @@ def _bound_overshoot(before, after, mean, begin, end):
 @leaf
 def _bounded(before, value, mean, y, x, c):
     """`value`, in place of `before` there, bounded by what is around and next to it."""
+    most = _usual(before, mean, y, x, c)
+    if not value > most:
+        return value
+    return min(value, max(most, _brightest(before, y, x, c)))
+
+
+@leaf
+def _usual(before, mean, y, x, c):
+    """What is not far brighter than the picture, and than what is around there."""
     height, width = before.shape[:2]
     around = np.float32(0)
     for dy in range(-AROUND, AROUND + 1):
         row = _mirrored(y + dy, height)
         for dx in range(-AROUND, AROUND + 1):
             around += before[row, _mirrored(x + dx, width), c]
-    most = FAR_BRIGHTER * max(mean, around / np.float32((2 * AROUND + 1) ** 2))
-    if not value > most:
-        return value
-    for row in range(max(y - 1, 0), min(y + 2, height)):
-        for column in range(max(x - 1, 0), min(x + 2, width)):
+    return FAR_BRIGHTER * max(mean, around / np.float32((2 * AROUND + 1) ** 2))
+
+
+@leaf
+def _brightest(before, y, x, c):
+    """The greatest value of the pixel and of those next to it."""
+    most = before[y, x, c]
+    for row in range(max(y - 1, 0), min(y + 2, before.shape[0])):
+        for column in range(max(x - 1, 0), min(x + 2, before.shape[1])):
             most = max(most, before[row, column, c])
-    return min(value, most)
+    return most
+
+
+def _with_highlights(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """`after` (H, W, 3), in which what is far brighter than its surroundings has the light back that it had in `before`.
+
+    A network takes two thirds of a highlight of one or two pixels; with the mean preserved, all else would be the brighter for it.
+    """
+    mean = np.array([before[..., c].mean(dtype=np.float64) for c in range(3)], np.float32)
+    places = np.argwhere(after > FAR_BRIGHTER * mean)
+    if len(places):
+        brightest_first = np.argsort(-after[tuple(places.T)], kind="stable")
+        _give_highlights_back(before, after, mean, places[brightest_first])
+    return after
+
+
+@kernel
+def _give_highlights_back(before, after, mean, places):
+    """What the pixels around each of the `places` (N, 3: row, column, channel) have lost, dealt among them by what they had, in this order.
+
+    None becomes brighter than the brightest of them was.
+    """
+    height, width = before.shape[:2]
+    far_brighter = np.empty(len(places), np.bool_)
+    for place in range(len(places)):  # before any is made brighter
+        y, x, c = places[place]
+        far_brighter[place] = after[y, x, c] > _usual(before, mean[c], y, x, c)
+    for y, x, c in places[far_brighter]:
+        top, bottom, left, right = max(y - 1, 0), min(y + 2, height), max(x - 1, 0), min(x + 2, width)
+        had = lost = np.float32(0)
+        for row in range(top, bottom):
+            for column in range(left, right):
+                had += before[row, column, c]
+                lost += before[row, column, c] - after[row, column, c]
+        if not lost > np.float32(0):
+            continue
+        most = _brightest(before, y, x, c)
+        for row in range(top, bottom):
+            for column in range(left, right):
+                more = after[row, column, c] + lost * before[row, column, c] / had
+                after[row, column, c] = max(after[row, column, c], min(more, most))
 
 
 @inlined
@@ -201,6 +254,7 @@ class Denoiser:
         position: np.ndarray | None = None,
         clean_aux: bool = False,
         preserve_mean: bool = False,
+        highlights: bool = False,
         quality: str | None = None,
         threads: int = 0,
     ) -> np.ndarray:
@@ -213,6 +267,7 @@ class Denoiser:
             position: (H, W, 3) m, read only by the blur that stands in.
             clean_aux: the guides have no noise (see `prefilter`); edges in them are then kept sharp.
             preserve_mean: scale each channel so that its mean is the input's (by 1/1.5 to 1.5 at most).
+            highlights: what stays far brighter than its surroundings is no noise, and keeps its light.
             quality: for this picture, None for the denoiser's own.  Of clean guides 'high' makes a larger network, at twice the time.
             threads: 0 is all.
 
@@ -227,8 +282,8 @@ class Denoiser:
         mean = float(color.mean(dtype=np.float64))
         if 0 < mean < FAINT:  # the library's own exposure ends there
             scale = np.float32(min(1 / mean, 1e30))
-            settings = dict(position=position, clean_aux=clean_aux, preserve_mean=preserve_mean, quality=quality, threads=threads)
-            return self.denoise(scale * color, albedo, normal, **settings) / scale
+            settings = dict(position=position, clean_aux=clean_aux, preserve_mean=preserve_mean, highlights=highlights)
+            return self.denoise(scale * color, albedo, normal, quality=quality, threads=threads, **settings) / scale
         guides = {"albedo": albedo, "normal": normal}
         guides = {name: np.nan_to_num(_image(guide, color), posinf=0, neginf=0) for name, guide in guides.items() if guide is not None}
         if position is not None:
@@ -245,6 +300,8 @@ class Denoiser:
             clean = _without_overshoot(
                 color, self._execute(images, threads, hdr=True, clean_aux=clean_aux and bool(guides), quality=quality), threads
             )
+            if highlights:
+                clean = _with_highlights(color, clean)
         if not preserve_mean:
             return clean
         return clean * mean_factor(color, clean)

@@ -212,11 +212,11 @@ class Picture:
             matt = replace(self, direct=self.direct - self.shine, shine=None)
             return self.shine + (matt._direct_cleaned(cleaned, quality) if matt.direct.any() else matt.direct)
         if self.sharp is None:
-            return cleaned(self.direct, self.albedo, quality)
+            return cleaned(self.direct, self.albedo, quality, highlights=True)
         soft = self.direct - self.sharp
         if not largest(soft).max() <= LEAST_SOFT * self.sharp.mean():  # nor where that is no number
-            soft = cleaned(soft, self.albedo, quality)
-        return soft + cleaned(self.sharp, self.albedo, quality)
+            soft = cleaned(soft, self.albedo, quality, highlights=True)
+        return soft + cleaned(self.sharp, self.albedo, quality, highlights=True)
 
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
         """The albedo with what narrow lobes show, of which few rays have told, and whether it is free of noise."""
