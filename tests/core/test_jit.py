@@ -5,10 +5,11 @@ import pickle
 
 import numpy as np
 import pytest
-from numba.core import caching
+from numba import types
+from numba.core import caching, event
 
 from lumigate.core import jit
-from lumigate.core.sampling.sequences import r2_points
+from lumigate.core.sampling.sequences import r2_points, sobol_u32
 
 
 @pytest.fixture
@@ -63,3 +64,66 @@ def test_no_folder_no_cache(monkeypatch):
     dispatcher, values = compiled()
     assert isinstance(dispatcher._cache, caching.NullCache)
     assert np.isfinite(values).all()
+
+
+@jit.leaf
+def _sum_to(n):
+    return n if n < 2 else n + _sum_to(n - 1)
+
+
+def calls_with(function):
+    """A kernel that calls `function` with integers of several kinds."""
+
+    @jit.kernel
+    def caller(n):
+        return function(n) + function(np.int32(n)) + function(3)
+
+    return caller
+
+
+def nested_compilations(work) -> int:
+    """How often the functions of this file are compiled while `work()` runs."""
+
+    class Count(event.Listener):
+        found = 0
+
+        def on_start(self, ev):
+            self.found += ev.data["dispatcher"].py_func.__module__ == __name__
+
+        def on_end(self, ev):
+            pass
+
+    counting = Count()
+    with event.install_listener("numba:compile", counting):
+        work()
+    return counting.found
+
+
+def test_a_kernel_that_kernels_call_is_compiled_once_for_all_integers():
+    square = jit.leaf(lambda n: n * n)
+    assert nested_compilations(lambda: calls_with(square)(5)) == 2  # the caller and what it calls
+    assert calls_with(square)(5) == 59
+    assert calls_with(square)(-5) == 59
+    assert not square.overloads
+
+
+def test_a_kernel_that_kernels_call_can_be_called_from_python_and_by_itself():
+    assert calls_with(_sum_to)(4) == 26
+    assert _sum_to(100) == 5050
+    assert calls_with(_sum_to)(4) == 26  # which now takes in what was compiled for Python
+
+
+def test_what_kernels_call_is_read_from_the_cache(folder):
+    def caller():
+        inner = jit.leaf(sobol_u32.py_func)
+        outer = jit.kernel(lambda index: inner(index, 2))
+        return inner, outer
+
+    first, outer = caller()
+    expected = outer(77)
+    again, other = caller()
+    with jit.CompileTimer() as timer:
+        again._for_kernels((types.int64, types.int64))
+    assert timer.seconds == 0 and len(list(folder.rglob("*.nested*.nbc"))) >= 1
+    assert other(77) == expected == sobol_u32(77, 2)
+    assert not first.overloads and not again.overloads

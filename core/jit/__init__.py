@@ -19,10 +19,12 @@ import platformdirs
 from numba.core import caching, event, sigutils
 from numba.core.ccallback import CFunc
 
+from .nested import Kernel, NestedCache
+
 # Keeps NaN and infinity (no 'nnan', 'ninf'); without 'reassoc' sums do not vectorise.
 FAST_MATH = {"reassoc", "contract", "nsz"}
 
-_ROOM = Path(__file__).resolve().parent
+_ROOM = Path(__file__).resolve().parents[1]
 _RELATIVE_IMPORT = re.compile(r"^from (\.+)([\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 
 
@@ -105,6 +107,12 @@ class _Cache(caching.FunctionCache):
             super()._save_overload(sig, data)
 
 
+class _NestedCache(_Cache, NestedCache):
+    """The same for what kernels alone call."""
+
+    _impl_class = NestedCache._impl_class
+
+
 _CACHE = _cache_folder()
 if _CacheLocator.__qualname__ not in {c.__qualname__ for c in caching.CacheImpl._locator_classes}:
     caching.CacheImpl._locator_classes.insert(0, _CacheLocator)
@@ -123,9 +131,12 @@ def kernel(function=None, *, fast: bool = True, **options):
         # Only this package's own kernels have a locator (a test's may lie anywhere).
         inside = _ROOM in Path(function.__code__.co_filename).resolve().parents
         cached = options["cache"] and inside
-        dispatcher = numba.njit(**(options | {"cache": False}))(function)
+        if numba.config.DISABLE_JIT:
+            return function
+        dispatcher = Kernel(function, locals={}, targetoptions={k: v for k, v in options.items() if k != "cache"} | {"nopython": True})
         if cached:
             dispatcher._cache = _Cache(function)  # what `cache=True` does, with a cache of Numba's own
+            dispatcher.nested_cache = _NestedCache(function)
         return dispatcher
 
     return decorate if function is None else decorate(function)
@@ -134,7 +145,10 @@ def kernel(function=None, *, fast: bool = True, **options):
 def inlined(function=None, **options):
     """A `leaf` that LLVM always inlines into the kernel that calls it."""
     options = {"error_model": "numpy", "fastmath": FAST_MATH, "forceinline": True, "_nrt": False} | options
-    decorate = numba.njit(**options)
+
+    def decorate(function):
+        return kernel(function, fast=False, cache=False, **options)
+
     return decorate if function is None else decorate(function)
 
 
