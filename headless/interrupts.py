@@ -69,5 +69,9 @@ class Interrupts:
         again.start()
 
     def _repeat(self) -> None:
-        if self._listening:
+        if not self._listening:
+            return
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)  # which ends a wait, too
+        else:
             _thread.interrupt_main()
