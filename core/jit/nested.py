@@ -73,8 +73,8 @@ class Kernel(CPUDispatcher):
     nested_cache: where that is kept; None for nowhere.
     """
 
-    def __init__(self, py_func, **options):
-        super().__init__(py_func, **options)
+    def __init__(self, *args, **options):
+        super().__init__(*args, **options)
         self._nested: dict[tuple, compiler.CompileResult] = {}  # by the types of the arguments
         self.nested_cache: NestedCache | None = None
 
