@@ -82,6 +82,8 @@ def foreseen(
     lights: (S, 9, K), of which the first subset is summed.  sights: (N, R) uint8, what each point's shadow rays found; blocks: (N, R) uint8,
     the lights' blocks.  gathered: (N,), what the gather rays found.
     """
+    if not len(points.pixel):
+        return np.zeros(0, np.float32)
     height, width = shape
     rows, columns = -(-height // TILE), -(-width // TILE)
     tile = points.pixel // width // TILE * columns + points.pixel % width // TILE
@@ -100,7 +102,7 @@ def foreseen(
         visible = (found + PRIOR * tiles[:, None]) / (rays + PRIOR) * len(lights)
     out = np.empty(len(points.pixel), np.float32)
     ambient, visible = ambient.astype(np.float32).reshape(rows, columns), visible.astype(np.float32).reshape(rows, columns, parts)
-    lights = lights if parts else np.zeros((1, 8, 0), np.float32)
+    lights = lights if parts else np.zeros((1, 9, 0), np.float32)
     near = np.float32(g_max / len(lights))  # a light stands for many: where it is close it must not give as much as all of them
     run_chunks(lambda begin, end: _expected(points, lights, visible, ambient, width, begin, end, near, out), len(out), CHUNK, threads)
-    return out + np.float32(EVEN * out.mean()) if len(out) else out
+    return out + np.float32(EVEN * out.mean())
