@@ -144,12 +144,7 @@ def kernel(function=None, *, fast: bool = True, **options):
 
 def inlined(function=None, **options):
     """A `leaf` that LLVM always inlines into the kernel that calls it."""
-    options = {"error_model": "numpy", "fastmath": FAST_MATH, "forceinline": True, "_nrt": False} | options
-
-    def decorate(function):
-        return kernel(function, fast=False, cache=False, **options)
-
-    return decorate if function is None else decorate(function)
+    return kernel(function, **({"forceinline": True, "_nrt": False, "cache": False} | options))
 
 
 def leaf(function=None, **options):

@@ -97,13 +97,14 @@ class Kernel(CPUDispatcher):
         return typing.make_concrete_template(f"CallTemplate({name})", key=name, signatures=[result.signature]), pysig, args, {}
 
     def get_overload(self, sig):
-        """The address of the compiled function, or the key by which other kernels find it, where they alone call it."""
+        """The key by which other kernels find the function, or its address, where Python alone calls it."""
         args = tuple(sigutils.normalize_signature(sig)[0])
-        return (self.overloads.get(args) or self._nested[args]).entry_point
+        return (self._nested.get(args) or self.overloads[args]).entry_point
 
     @global_compiler_lock
     def _for_kernels(self, args: tuple) -> compiler.CompileResult:
-        found = self.overloads.get(args) or self._nested.get(args)
+        # Never what was compiled for Python: a caller's bits must not hang on what was called before.
+        found = self._nested.get(args)
         if found is None:
             with self._compiling_counter:  # by which Numba knows recursion
                 found = self.nested_cache.load_overload(args, self.targetctx) if self.nested_cache else None

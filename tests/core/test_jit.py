@@ -108,9 +108,10 @@ def test_a_kernel_that_kernels_call_is_compiled_once_for_all_integers():
 
 
 def test_a_kernel_that_kernels_call_can_be_called_from_python_and_by_itself():
-    assert calls_with(_sum_to)(4) == 26
     assert _sum_to(100) == 5050
-    assert calls_with(_sum_to)(4) == 26  # which now takes in what was compiled for Python
+    assert nested_compilations(lambda: calls_with(_sum_to)(4)) == 2  # not what was compiled for Python: the order must not matter
+    assert calls_with(_sum_to)(4) == 26
+    assert _sum_to(10) == 55
 
 
 def test_what_kernels_call_is_read_from_the_cache(folder):
