@@ -151,3 +151,7 @@ def end_all() -> None:
     cancel_all()
     for job in list(_running):
         job.wait(_PATIENCE)
+    if not _running:
+        from ..core.threads import end_threads
+
+        end_threads()

@@ -125,6 +125,29 @@ def _write(value, address):
     _put(value, np.uintp(address))
 
 
+_TYPES: dict = {}  # by `_kind` of the tuples: Numba takes .1 ms to tell the type of a large one
+
+
+def _kind(value):
+    """Tells tuples apart whose types, to Numba, differ; finer than need be."""
+    if isinstance(value, np.ndarray):
+        flags = value.flags
+        return value.dtype, value.ndim, flags.c_contiguous, flags.f_contiguous, flags.aligned, flags.writeable
+    if isinstance(value, tuple):
+        return type(value), *map(_kind, value)
+    if type(value) is int:
+        return int, value.bit_length() > 63  # which is another type
+    return getattr(value, "_numba_type_", type(value))
+
+
+def _type_of(value) -> ReferenceType:
+    kind = _kind(value)
+    found = _TYPES.get(kind)
+    if found is None:
+        found = _TYPES[kind] = ReferenceType(numba.typeof(value))
+    return found
+
+
 class Reference:
     """A named tuple of arrays, numbers and further ones, to be passed to kernels as one address.
 
@@ -136,7 +159,7 @@ class Reference:
 
     def __init__(self, value) -> None:
         self.value = value
-        self._numba_type_ = ReferenceType(numba.typeof(value))
+        self._numba_type_ = _type_of(value)
         self._memory = np.zeros(_bytes(value) + 64, np.uint8)
         self.address = self._memory.ctypes.data + -self._memory.ctypes.data % 64
         _write(value, self.address)

@@ -23,7 +23,7 @@ def traces() -> tuple:
         sorted(dir(bpy.ops.lumigate)),
         len(handlers),
         {panel.__name__: sorted(getattr(panel, "COMPAT_ENGINES", ())) for panel in bpy.types.Panel.__subclasses__()},
-        [thread.name for thread in threading.enumerate() if thread.name == "lumigate"],
+        [thread.name for thread in threading.enumerate() if thread.name.startswith("lumigate")],
     )
 
 

@@ -1,10 +1,11 @@
 """Chunks of work over threads: order, errors, cancellation."""
 
+import threading
 from threading import Event
 
 import pytest
 
-from lumigate.core.threads import Cancelled, run_chunks
+from lumigate.core.threads import Cancelled, end_threads, run_chunks
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -48,3 +49,26 @@ def test_progress_ends_at_one():
     told = []
     run_chunks(lambda begin, end: None, 7, 2, 2, lambda done: told.append(done) or True)
     assert told[-1] == 1 and told == sorted(told)
+
+
+def test_threads_are_used_again_until_they_are_ended():
+    barrier = threading.Barrier(2)
+
+    def name(begin, end):
+        barrier.wait(timeout=60)
+        return threading.current_thread().name
+
+    end_threads()
+    used = set().union(*(run_chunks(name, 2, 1, 2) for _ in range(50)))
+    assert 2 <= len(used) < 10  # one that has just ended its work may not be idle yet
+    end_threads()
+    assert not any(thread.name in used for thread in threading.enumerate())
+    assert len(run_chunks(name, 2, 1, 2)) == 2
+    end_threads()
+
+
+def test_chunks_within_chunks_do_not_wait_for_each_other():
+    def inner(begin, end):
+        return sum(run_chunks(lambda b, e: b, 5, 1, 2))
+
+    assert run_chunks(inner, 40, 1, 8) == [10] * 40
