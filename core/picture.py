@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .denoise import Denoiser, mean_factor, pull_push
+from .denoise import ROWS, Denoiser, channel_means, mean_factor, pull_push
 from .group_shares import shares_of
 from .jit import kernel
 from .lamps import LightGroups
@@ -16,6 +16,7 @@ from .layers import GROUP_LAYERS, Layers
 from .scene import Scene
 from .subpixel import PointLight, give_back, joined
 from .surfaces.lobes import NEGLIGIBLE
+from .threads import run_chunks
 from .view.points import GRAZING, ShadingPoints, glossy_albedos
 from .view.primary import View
 
@@ -194,10 +195,10 @@ class Picture:
             if noisy.any():
                 found["diffuse_indirect"] = self.smooth + cleaned(noisy, self.albedo, clean_aux=True)
         elif indirect and self.diffuse_indirect.any():
-            clean = self._diffuse_cleaned(denoiser, cleaned)
+            clean = self._diffuse_cleaned(denoiser, cleaned, threads)
             if self.points and quality != "fast":
                 clean = give_back(clean, self.foreseen, self.points, threads)
-                clean *= mean_factor(self.diffuse_indirect, clean)
+                clean *= mean_factor(self.diffuse_indirect, clean, threads)
             found["diffuse_indirect"] = clean
         if indirect and self.glossy_indirect.any():
             guide, clean = self._mirrored_guide(denoiser, threads, quality)
@@ -245,35 +246,35 @@ class Picture:
         scale = np.float32(SHOWN / np.quantile(glossy, MOSTLY))
         return np.float32(0.5) * (guide + np.minimum(scale * self.glossy_albedo, np.float32(1)))
 
-    def _diffuse_cleaned(self, denoiser: Denoiser, cleaned: Callable[..., np.ndarray]) -> np.ndarray:
+    def _diffuse_cleaned(self, denoiser: Denoiser, cleaned: Callable[..., np.ndarray], threads: int) -> np.ndarray:
         """The diffuse indirect light without noise: the mean of two ways to denoise it, whose errors have little in common.
 
         One sees the light as it is, and the albedo beside it.  A blur would take textures away, and is left out.
         """
-        ratio = self._by_ratio(cleaned)
+        ratio = self._by_ratio(cleaned, threads)
         if not denoiser.available or not ratio.any():
             return ratio
         radiance = cleaned(self.diffuse_indirect, self.albedo, clean_aux=True) * (self.albedo > 0)
         return np.float32(0.5) * (ratio + radiance)
 
-    def _by_ratio(self, cleaned: Callable[..., np.ndarray]) -> np.ndarray:
+    def _by_ratio(self, cleaned: Callable[..., np.ndarray], threads: int) -> np.ndarray:
         """The diffuse indirect light without noise, by its ratio to what is foreseen.
 
         The ratio has no holes where nothing is diffuse, and none of the edges of textures and surfaces that the denoiser would have to find.
         """
-        least = LEAST_FORESEEN * self.foreseen.mean()
-        known = (largest(self.foreseen) > least) & np.isfinite(np.einsum("ijc->ij", self.diffuse_indirect))
-        if not known.any():
+        least = np.float32(LEAST_FORESEEN * channel_means(self.foreseen, threads).mean())
+        height = len(self.foreseen)
+        known, ratio, rows = np.empty(self.foreseen.shape[:2], bool), np.empty_like(self.foreseen), np.zeros(height)
+        tables = self.diffuse_indirect, self.foreseen, least, known, ratio
+        run_chunks(lambda begin, end: _ratios(*tables, rows, begin, end), height, ROWS, threads)
+        count = np.count_nonzero(known)
+        if not count:
             return np.zeros_like(self.diffuse_indirect)
-        light, foreseen = self.diffuse_indirect[known], self.foreseen[known]
-        grey = (np.einsum("nc->n", light) / np.einsum("nc->n", foreseen))[:, None]
-        ratio = np.divide(light, foreseen, out=grey.repeat(3, axis=1), where=foreseen > least)
-        scale = np.float32(2) * max(ratio.mean(), np.float32(1e-30))
-        image = np.zeros_like(self.foreseen)
-        image[known] = ratio / scale
-        clean = cleaned(pull_push(image, known), None, preserve_mean=False) * self.foreseen * scale
+        scale = np.float32(2) * max(np.float32(rows.sum() / (3 * count)), np.float32(1e-30))
+        ratio *= np.float32(1) / scale
+        clean = cleaned(pull_push(ratio, known), None, preserve_mean=False) * (scale * self.foreseen)
         # What counts is the mean of the picture, not of the ratio.
-        return mean_factor(np.where(known[..., None], self.diffuse_indirect, clean), clean) * clean
+        return mean_factor(np.where(known[..., None], self.diffuse_indirect, clean), clean, threads) * clean
 
     def shared_out(self, denoiser: Denoiser, threads: int) -> Picture:
         """With the groups' light as free of noise as the whole, which they add up to still.
@@ -321,6 +322,25 @@ class Picture:
             offset=(camera.border[0], camera.border[1]),
             full_size=(camera.width, camera.height),
         )
+
+
+@kernel
+def _ratios(light, foreseen, least, known, ratio, rows, begin, end):
+    """The ratio (H, W, 3) of light to what is foreseen, where it is `known`, else 0; its sums by rows (H,).
+
+    A channel of which too little is foreseen has the ratio of all three together.
+    """
+    for y in range(begin, end):
+        for x in range(light.shape[1]):
+            r, g, b = foreseen[y, x, 0], foreseen[y, x, 1], foreseen[y, x, 2]
+            whole = light[y, x, 0] + light[y, x, 1] + light[y, x, 2]
+            known[y, x] = max(r, g, b) > least and np.isfinite(whole + r + g + b)
+            for c in range(3):
+                own = np.float32(0)
+                if known[y, x]:
+                    own = light[y, x, c] / foreseen[y, x, c] if foreseen[y, x, c] > least else whole / (r + g + b)
+                ratio[y, x, c] = own
+                rows[y] += own
 
 
 def _around(marked: np.ndarray) -> tuple[slice, slice]:

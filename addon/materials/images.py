@@ -138,7 +138,7 @@ def load_pixels(image: bpy.types.Image, file: str | bytes | None = None) -> np.n
         pixels = _encoded(pixels, premultiplied=not _keeps_alpha_apart(image))
     if pixels.shape[2] == 4 and not _keeps_alpha_apart(image):
         pixels = _associated(image, pixels, is_float)
-    return np.ascontiguousarray(pixels) if is_float or not is_plain else (pixels * 255 + 0.5).astype(np.uint8)
+    return np.ascontiguousarray(pixels) if is_float or not is_plain else textures.quantised(pixels)
 
 
 def _encoded(pixels: np.ndarray, premultiplied: bool) -> np.ndarray:
@@ -174,7 +174,7 @@ def _associated(image: bpy.types.Image, pixels: np.ndarray, is_float: bool) -> n
     if power == 0:
         return pixels
     alpha = pixels[..., 3:]
-    factor = alpha**power if power > 0 else 1 / np.maximum(alpha, 1e-6)
+    factor = alpha if power == 1 else alpha**power if power > 0 else 1 / np.maximum(alpha, 1e-6)
     return np.concatenate([pixels[..., :3] * factor, alpha], 2)
 
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..jit import inlined, leaf
+from ..jit import inlined, kernel, leaf
+from ..threads import run_chunks
 
 F = np.float32
 
@@ -28,6 +29,7 @@ MISSING = (1.0, 0.0, 1.0, 1.0)  # what Cycles shows where there is no image
 # Flags.
 SRGB, UNASSOCIATE = 1, 2
 
+ROWS = 128  # of texels a chunk
 _STEPS = 2048
 _encoded = np.linspace(0, 1, _STEPS + 1)
 # sRGB to linear at 2049 points: with linear interpolation the error is below 4e-7.
@@ -100,6 +102,21 @@ class TexturePool:
         texels_u8 = np.concatenate(self.bytes) if self.bytes else np.zeros(4, np.uint8)
         texels_f32 = np.concatenate(self.floats) if self.floats else np.zeros(4, F)
         return headers, texels_u8, texels_f32
+
+
+def quantised(pixels: np.ndarray) -> np.ndarray:
+    """Values in 0..1, (H, W, C) float32, as bytes (H, W, C)."""
+    out = np.empty(pixels.shape, np.uint8)
+    run_chunks(lambda begin, end: _quantise(pixels, out, begin, end), len(pixels), ROWS)
+    return out
+
+
+@kernel
+def _quantise(pixels, out, begin, end):
+    for y in range(begin, end):
+        for x in range(out.shape[1]):
+            for c in range(out.shape[2]):
+                out[y, x, c] = np.int32(min(max(pixels[y, x, c] * F(255) + F(0.5), F(0)), F(255)))
 
 
 def _header(stored: tuple[int, int, int, int, int], extension: int, interpolation: int, flags: int) -> np.ndarray:

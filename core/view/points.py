@@ -8,6 +8,7 @@ import numpy as np
 
 from ..jit import inlined, kernel
 from ..surfaces.layout import glossy_rise
+from ..threads import run_chunks
 
 SPREAD = 3  # further places of a point on its surface
 GRAZING = np.float32(-1e-6)  # rounding of the cosine with which a viewer sees the side that is lit
@@ -69,6 +70,11 @@ class ShadingPoints(NamedTuple):
             np.zeros(n, f), np.zeros(n, f), np.zeros((n, 4), f), np.zeros((n, 4), f), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
         )  # fmt: skip
 
+    @staticmethod
+    def room(n: int) -> ShadingPoints:
+        """The same with nothing set: for kernels that make few of the n points that they may, and `blank` those."""
+        return ShadingPoints(*(np.empty((n, *a.shape[1:]), a.dtype) for a in ShadingPoints.allocate(0)))
+
     def take(self, index) -> ShadingPoints:
         """The points at `index` (anything that indexes an array)."""
         return ShadingPoints(*(np.ascontiguousarray(a[index]) for a in self))
@@ -82,7 +88,22 @@ class ShadingPoints(NamedTuple):
         """All points of `parts`, in order."""
         if not parts:
             return ShadingPoints.allocate(0)
-        return ShadingPoints(*(np.concatenate(arrays) for arrays in zip(*parts)))
+        fields = list(zip(*parts))
+        return ShadingPoints(*run_chunks(lambda k, _: np.concatenate(fields[k]), len(fields), 1))
+
+
+@inlined
+def blank(points, i):
+    """Sets of point i what `ShadingPoints.allocate` sets."""
+    points.behind_glass[i] = points.shown[i] = points.entered[i] = 0
+    points.tilt[i] = points.rough[i] = _0
+    for c in range(3):
+        for k in range(SPREAD):
+            points.spread[i, k, c] = _0
+        for k in range(3):
+            points.turned[i, k, c] = _0
+    for c in range(4):
+        points.sheen[i, c] = points.gloss[i, c] = _0
 
 
 @inlined

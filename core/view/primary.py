@@ -33,7 +33,7 @@ from ..threads import Progress, run_chunks
 from .camera import camera_tables
 from .lamps import lamps_in_tile, visible_lamps
 from .mirrors import with_mirrors
-from .points import SPREAD, ShadingPoints
+from .points import SPREAD, ShadingPoints, blank
 from .tile import (
     ALBEDO,
     BEYOND,
@@ -287,6 +287,7 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
         best = member[chosen]
         i = n_points
         n_points += 1
+        blank(points, i)
         for c in range(3):
             points.position[i, c] = sample[best, PLACE + c]
             points.ng[i, c] = side * sample[best, FACING + c]
@@ -451,7 +452,7 @@ def view(
     layers = np.zeros((height * width, EMITTED + 3 * GLASS * len(groups.names)), np.float32)
     tiles = (-(-x1 // TILE) - x0 // TILE) * (-(-y1 // TILE) - y0 // TILE)
     least, most = sample_counts(samples)
-    chunk = 64
+    chunk = 128
     g = scene.geometry
     geometry = _Geometry(
         g.vertices,
@@ -474,7 +475,7 @@ def view(
     sides = 1 + sum((scene.materials.tables.flags & flag).any() for flag in (COATED, TRANSLUCENT, FROSTED))
 
     def work(begin, end):
-        room = ShadingPoints.allocate((end - begin) * WIDTH * (1 + PANES) * most * sides)
+        room = ShadingPoints.room((end - begin) * WIDTH * (1 + PANES) * most * sides)
         n, n_rays = _view_tiles(
             rays, camera, offsets, materials, geometry, lamps, world, seen_by, groups.world,
             begin, end, least, most, np.uint32(seed), Reference(room), layers, Reference(new_tile(most, len(groups.names), n_lamps)),
