@@ -324,7 +324,7 @@ class Picture:
         )
 
 
-@kernel
+@kernel(fast=False)  # it tells what is finite
 def _ratios(light, foreseen, least, known, ratio, rows, begin, end):
     """The ratio (H, W, 3) of light to what is foreseen, where it is `known`, else 0; its sums by rows (H,).
 
