@@ -196,7 +196,7 @@ class Picture:
                 found["diffuse_indirect"] = self.smooth + cleaned(noisy, self.albedo, clean_aux=True)
         elif indirect and self.diffuse_indirect.any():
             clean = self._diffuse_cleaned(denoiser, cleaned, threads)
-            if self.points and quality != "fast":
+            if self.points:
                 clean = give_back(clean, self.foreseen, self.points, threads)
                 clean *= mean_factor(self.diffuse_indirect, clean, threads)
             found["diffuse_indirect"] = clean

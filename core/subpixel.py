@@ -28,6 +28,7 @@ RATIOS = np.float32(4.0)  # weight of the squared relative difference of the den
 MUCH_BRIGHTER = np.float32(4.0)
 # Part of a residual that is given back: the denoiser has kept some of the noise, which is missing in the residual.
 PART = np.float32(0.6)
+NOISE = np.float32(2.0)  # times the variance of a mean of independent points: nearby points share lights, and what their rays hit
 WHOLE = np.float32(2.0)  # as rays are dealt: points that are half of what their pixel shows, or more, have all rays
 MOST_POINTS = 2_000_000  # that are kept of further passes
 LINES = 8  # of pixels a chunk
@@ -155,7 +156,7 @@ def _mean_residual(begin, rows, ratio, width, height, x, y, p):
     if not number > LEAST_NUMBER or mean == _0:
         return _0, _0, _0
     noise = (squares - _2 * mean * crossed + mean * mean * foreseen2) / (whole * whole) * number / (number - _1)
-    part = PART * max(_0, _1 - noise / (mean * mean)) / whole
+    part = PART * max(_0, _1 - NOISE * noise / (mean * mean)) / whole
     return part * r0, part * r1, part * r2
 
 
