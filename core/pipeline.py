@@ -16,7 +16,7 @@ from .layers import Layers
 from .memory import check_memory
 from .methods.glossy import Reflections, has_lobes
 from .methods.wide_lobes import sees_alike
-from .passes import Passes, denoising_quality
+from .passes import Passes
 from .picture import Picture, nearest_triangles, splat
 from .planning.machine import cached_machine, look_again
 from .planning.planner import Planner, reduced
@@ -180,10 +180,11 @@ def _render(
             in_turn = run.in_turn(settings)
             share = sequence.settings.frame_share if in_turn else 1.0  # history stands for the other rays
             # A kept view saves more time than the better network takes, and its sharper light flickers less where lamps move.
-            quality = denoising_quality(settings, passes.weight / share, least="high" if in_turn and sequence.resting else "fast")
+            least = "high" if in_turn and sequence.resting else "fast"
+            quality = run.planner.denoising_quality(passes.weight / share, elapsed(), least)
             direct = settings.wants("Direct", "Combined")
             picture = picture.denoised(denoiser, threads, direct=direct, indirect=not passes.as_it_is, quality=quality)
-            foreseen = run.planner.finishing(passes.weight) if run.planner.machine else 0.0
+            foreseen = run.planner.denoising_seconds(quality) if run.planner.machine else 0.0
         if run.seconds["denoise"] < TOO_SLOW * foreseen:
             with _calibration(run):  # for the budgets to come
                 look_again(run.planner.machine)

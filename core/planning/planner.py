@@ -21,15 +21,16 @@ from .machine import Machine
 
 # Quality of a pass: 1 is that of a picture without budget; its samples and its time go with it.
 LEAST, MOST = 0.125, 8.0
+LARGE = 4.0  # of a pass of a budget, at most: beyond it two passes, of lights and caches of their own, have a smaller error than one
 LARGE_PICTURE = 500_000  # pixels above which passes are not made larger than 1, for their memory
 MOST_PASSES = 256
 BLIND = 0.4  # of a budget, for the first pass where only the machine is known
-ALONE = 0.88  # where no second pass would fit behind it
-INFORMED = 0.8  # where there was a pilot: a second pass pays once more for what every pass begins with
+UNSURE = 0.65  # where no second pass would fit behind it
+INFORMED = 0.93  # where there was a pilot
 FULL = 0.97  # of a budget is planned: predictions are not exact
 LEAP = 4.0  # most by which a pass is better than the one before: what it costs is not known further ahead
 # Time of the layers' denoising by that of as many pictures of `Machine.denoising`, for the qualities that pictures get.
-DENOISING = {"fast": 0.6, "balanced": 1.0, "high": 2.1}
+DENOISING = {"fast": 0.8, "balanced": 1.1, "high": 1.8}
 PILOT_PIXELS, PILOT_QUALITY = 8_000, 0.25
 PILOT_SHARE = 0.1  # of a budget, at most
 SMALLER = 6  # times as many pixels as the pilot has make it worth while
@@ -70,9 +71,19 @@ class Planner:
 
     def finishing(self, weight: float) -> float:
         """Seconds from the last of passes of so much quality in all to the layers."""
-        if not self.settings.denoise:
-            return 0.0
-        return DENOISING[denoising_quality(self.settings, weight)] * self.machine.denoising(self.pixels, self.images)
+        return self.denoising_seconds(denoising_quality(self.settings, weight)) if self.settings.denoise else 0.0
+
+    def denoising_seconds(self, quality: str) -> float:
+        """Seconds of the denoiser, by what the machine's file says."""
+        return DENOISING[quality] * self.machine.denoising(self.pixels, self.images)
+
+    def denoising_quality(self, weight: float, elapsed: float, least: str) -> str:
+        """As `passes.denoising_quality` has it; within a budget, the best for which there is time."""
+        wanted = denoising_quality(self.settings, weight, least)
+        if self.settings.time_budget is None or self.settings.smooth:
+            return wanted
+        left = self.settings.time_budget - elapsed
+        return max((quality for quality in DENOISING if self.denoising_seconds(quality) <= left), key=DENOISING.__getitem__, default="fast")
 
     def _for_passes(self, left: float) -> float:
         """Seconds for further passes, of those that are left of the budget: the denoiser takes longer for more rays."""
@@ -143,10 +154,11 @@ class Planner:
     def _first_of_budget(self, left: float) -> float:
         least = self.cost.seconds(self.pixels, LEAST)
         whole = self.cost.quality(self.pixels, left)
-        share = INFORMED if self.pilot else BLIND
-        if self.pilot and (1 - INFORMED) * left < self.cost.seconds(self.pixels, LEAST):
-            share = ALONE
-        quality = self._bounded(self.cost.quality(self.pixels, share * left))
+        if self.pilot:
+            share = INFORMED / self._parts(whole)
+        else:
+            share = BLIND if (1 - BLIND) * left > least else UNSURE
+        quality = self._bounded(min(self.cost.quality(self.pixels, share * left), LARGE))
         if least > left:
             self.reasons.append(
                 f"the smallest pass takes about {least:.2g} s, and {max(left, 0):.2g} s of the time are left: one of it alone"
@@ -181,9 +193,11 @@ class Planner:
         if whole < LEAST:
             self._say_when_over(left)
             return None
-        # Equal parts, rather than a last one that is too small to be worth its fixed costs.
-        parts = math.ceil(whole / self.most)
-        return self._bounded(min(self.cost.quality(self.pixels, left / parts), LEAP * self.passes[-1]["quality"]))
+        return self._bounded(min(self.cost.quality(self.pixels, left / self._parts(whole)), LEAP * self.passes[-1]["quality"]))
+
+    def _parts(self, whole: float) -> int:
+        """As how many passes quality `whole` is made: equal ones, rather than a last one that is too small to be worth its fixed costs."""
+        return max(1, math.ceil(whole / min(self.most, LARGE)))
 
     def _say_when_over(self, left: float) -> None:
         if left < -(1 - FULL) * self.settings.time_budget and len(self.passes) == 1 and self.passes[0]["quality"] == LEAST:

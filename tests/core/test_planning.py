@@ -111,6 +111,16 @@ def test_the_denoiser_has_more_time_where_there_are_more_rays():
     assert Planner(RenderSettings(time_budget=10, denoise=False).with_defaults(), 100_000, MACHINE).finishing(2.0) == 0
 
 
+def test_time_that_no_pass_can_use_is_the_denoisers():
+    planner = Planner(RenderSettings(time_budget=3).with_defaults(), 100_000, MACHINE)
+    chosen = [planner.denoising_quality(0.5, elapsed, "fast") for elapsed in (2.0, 2.75, 2.8, 2.9, 3.1)]
+    seconds = [planner.denoising_seconds(quality) for quality in ("fast", "balanced", "high")]
+    np.testing.assert_allclose(seconds, MACHINE.denoising(100_000, 2) * np.array([0.8, 1.1, 1.8]))
+    assert chosen == ["high", "balanced", "fast", "fast", "fast"]
+    # Without a budget the clock has no say.
+    assert Planner(RenderSettings().with_defaults(), 100_000, None).denoising_quality(0.5, 0.0, "fast") == "fast"
+
+
 def test_cost_follows_what_was_seen():
     cost = PassCost(np.array([0.5, 0.2, 1e-5]))
     for k, quality in enumerate((0.25, 0.5, 2.0)):
