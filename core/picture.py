@@ -197,7 +197,7 @@ class Picture:
         elif indirect and self.diffuse_indirect.any():
             clean = self._diffuse_cleaned(denoiser, cleaned, threads)
             if self.points:
-                clean = give_back(clean, self.foreseen, self.points, threads)
+                clean = give_back(clean, self.foreseen, self.points, threads, few=quality == "fast")
                 clean *= mean_factor(self.diffuse_indirect, clean, threads)
             found["diffuse_indirect"] = clean
         if indirect and self.glossy_indirect.any():

@@ -28,7 +28,9 @@ RATIOS = np.float32(4.0)  # weight of the squared relative difference of the den
 MUCH_BRIGHTER = np.float32(4.0)
 # Part of a residual that is given back: the denoiser has kept some of the noise, which is missing in the residual.
 PART = np.float32(0.6)
-NOISE = np.float32(2.0)  # times the variance of a mean of independent points: nearby points share lights, and what their rays hit
+# Times the variance of a mean of independent points: nearby points share lights, and what their rays hit.  Of few rays, few strong ones are
+# most of it: with the lesser factor, quick pictures of the cathedral had dirty ribs.
+NOISE, NOISE_OF_FEW = np.float32(2.0), np.float32(4.0)
 WHOLE = np.float32(2.0)  # as rays are dealt: points that are half of what their pixel shows, or more, have all rays
 MOST_POINTS = 2_000_000  # that are kept of further passes
 LINES = 8  # of pixels a chunk
@@ -117,8 +119,8 @@ def _several(begin, width, height, x, y):
 
 
 @leaf
-def _mean_residual(begin, rows, ratio, width, height, x, y, p):
-    """The mean residual (r, g, b) of the points alike row p, in the pixel (x, y), by what is foreseen of them, shrunk by its noise."""
+def _mean_residual(begin, rows, ratio, width, height, x, y, p, noisier):
+    """The mean residual (r, g, b) of the points alike row p, in the pixel (x, y), by what is foreseen of them, shrunk by `noisier` times its noise."""
     k = y * width + x
     g = ratio[k, 0] + ratio[k, 1] + ratio[k, 2]
     nx, ny, nz = rows[p, NORMAL], rows[p, NORMAL + 1], rows[p, NORMAL + 2]
@@ -156,12 +158,12 @@ def _mean_residual(begin, rows, ratio, width, height, x, y, p):
     if not number > LEAST_NUMBER or mean == _0:
         return _0, _0, _0
     noise = (squares - _2 * mean * crossed + mean * mean * foreseen2) / (whole * whole) * number / (number - _1)
-    part = PART * max(_0, _1 - NOISE * noise / (mean * mean)) / whole
+    part = PART * max(_0, _1 - noisier * noise / (mean * mean)) / whole
     return part * r0, part * r1, part * r2
 
 
 @kernel
-def _correct(light, begin, order, rows, ratio, width, height, top, bottom, scale, out):
+def _correct(light, begin, order, rows, ratio, width, height, top, bottom, scale, noisier, out):
     """Adds what is given back to the rows top..bottom-1 of the picture `out` (H W, 3)."""
     for y in range(top, bottom):
         for x in range(width):
@@ -169,19 +171,20 @@ def _correct(light, begin, order, rows, ratio, width, height, top, bottom, scale
             if not _several(begin, width, height, x, y):
                 continue
             for p in range(begin[k], begin[k + 1]):
-                found = _mean_residual(begin, rows, ratio, width, height, x, y, p)
+                found = _mean_residual(begin, rows, ratio, width, height, x, y, p, noisier)
                 for c in range(3):
                     given = max(found[c], -ratio[k, c])  # no light is below none
                     out[k, c] += scale * light.albedo[order[p], c] * rows[p, FORESEEN] * given
 
 
-def give_back(clean: np.ndarray, foreseen: np.ndarray, lights: tuple[PointLight, ...], threads: int = 0) -> np.ndarray:
+def give_back(clean: np.ndarray, foreseen: np.ndarray, lights: tuple[PointLight, ...], threads: int = 0, few: bool = False) -> np.ndarray:
     """The denoised diffuse light with what the denoiser has blurred within pixels.
 
     Args:
         clean: (H, W, 3) float32, denoised diffuse light, W/m^2/sr.
         foreseen: (H, W, 3) float32, sum of albedo * foreseen irradiance over the points of each pixel, W/m^2.
         lights: of the passes that the picture is the mean of, or of some of them.
+        few: rays have found the light.
 
     Returns:
         (H, W, 3) float32, not negative where `clean` is not.
@@ -191,7 +194,7 @@ def give_back(clean: np.ndarray, foreseen: np.ndarray, lights: tuple[PointLight,
     known = foreseen > np.float32(1e-6) * foreseen.mean()
     ratio = np.divide(pi * clean, foreseen, out=np.zeros_like(clean), where=known).reshape(-1, 3)
     out = clean.reshape(-1, 3).copy()
-    whole = sum(light.weight for light in lights)
+    whole, noisier = sum(light.weight for light in lights), NOISE_OF_FEW if few else NOISE
     for light in lights:
         share = shares(light)
         begin, order = np.empty(len(out) + 1, np.int64), np.empty(len(share), np.int32)
@@ -200,7 +203,7 @@ def give_back(clean: np.ndarray, foreseen: np.ndarray, lights: tuple[PointLight,
         scale = np.float32(light.weight / whole) / pi
 
         def work(top, bottom, table=table, begin=begin, order=order, rows=rows, scale=scale):
-            _correct(table, begin, order, rows, ratio, width, height, top, bottom, scale, out)
+            _correct(table, begin, order, rows, ratio, width, height, top, bottom, scale, noisier, out)
 
         run_chunks(work, height, LINES, threads)
     return np.maximum(out, 0).reshape(clean.shape)
