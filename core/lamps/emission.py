@@ -242,14 +242,13 @@ def _emit_point(lamps, i, spot, soft, textured, maps, aim, u1, u2, u3, u4):
             u1 = u1 * _2
         else:
             dx, dy, dz = draw_direction(maps, lamps, i, u1 * _2 - _1, u2)
-    if dx != _0 or dy != _0 or dz != _0:
-        pass
-    elif spot and not inwards:
-        h = _spot_one_minus_cos(np.float64(lamps[i, COS_OUTER]), np.float64(lamps[i, COS_INNER]), np.float64(u1))
-        sine, phi = np.float32(math.sqrt(h * (2.0 - h))), _2PI * u2
-        dx, dy, dz = to_world(sine * np.float32(math.cos(phi)), sine * np.float32(math.sin(phi)), np.float32(1.0 - h), ax, ay, az)
-    else:
-        dx, dy, dz = uniform_sphere(u1, u2)
+    if dx == _0 and dy == _0 and dz == _0:
+        if spot and not inwards:
+            h = _spot_one_minus_cos(np.float64(lamps[i, COS_OUTER]), np.float64(lamps[i, COS_INNER]), np.float64(u1))
+            sine, phi = np.float32(math.sqrt(h * (2.0 - h))), _2PI * u2
+            dx, dy, dz = to_world(sine * np.float32(math.cos(phi)), sine * np.float32(math.sin(phi)), np.float32(1.0 - h), ax, ay, az)
+        else:
+            dx, dy, dz = uniform_sphere(u1, u2)
     if cone > _0 or mapped:
         own = spot_attenuation(lamps, i, ax * dx + ay * dy + az * dz) if spot else _1
         own = drawn = own / (_2PI * full)
