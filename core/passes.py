@@ -103,6 +103,16 @@ def denoising_quality(settings: RenderSettings, weight: float, least: str = "fas
     """
     if settings.smooth:
         return "fast"
-    rays = weight * (settings.samples + settings.gather) if settings.method == "importance-sampling" else MANY_RAYS
+    rays = _rays(settings, weight)
     quality = "fast" if rays < MANY_RAYS else "balanced" if rays <= MANY_RAYS else "high"
     return max(quality, least, key=QUALITIES.__getitem__)
+
+
+def has_few_rays(settings: RenderSettings, weight: float) -> bool:
+    """Whether passes of so much weight have so few rays that their noise is most of what they tell of single points."""
+    return _rays(settings, weight) < MANY_RAYS
+
+
+def _rays(settings: RenderSettings, weight: float) -> float:
+    """Of a shading point; of methods that know no number of their own, as many as make a usual picture."""
+    return weight * (settings.samples + settings.gather) if settings.method == "importance-sampling" else MANY_RAYS

@@ -172,11 +172,11 @@ class Picture:
             return np.where(self.albedo > 0, np.float32(np.pi) * self.diffuse_indirect / self.albedo, np.float32(0))
 
     def denoised(
-        self, denoiser: Denoiser, threads: int, *, direct: bool = True, indirect: bool = True, quality: str | None = None
+        self, denoiser: Denoiser, threads: int, *, direct: bool = True, indirect: bool = True, quality: str | None = None, few: bool = False
     ) -> Picture:
         """Without noise.  The guides have next to none themselves, and what they show stays as sharp as it is.
 
-        direct, indirect: which light.  quality: as `Denoiser.denoise` has it.
+        direct, indirect: which light.  quality: as `Denoiser.denoise` has it.  few: as `subpixel.give_back` has it.
         """
 
         own = self.guide_normal if self.own_normal is None else self.own_normal
@@ -197,7 +197,7 @@ class Picture:
         elif indirect and self.diffuse_indirect.any():
             clean = self._diffuse_cleaned(denoiser, cleaned, threads)
             if self.points:
-                clean = give_back(clean, self.foreseen, self.points, threads, few=quality == "fast")
+                clean = give_back(clean, self.foreseen, self.points, threads, few=few)
                 clean *= mean_factor(self.diffuse_indirect, clean, threads)
             found["diffuse_indirect"] = clean
         if indirect and self.glossy_indirect.any():

@@ -16,7 +16,7 @@ from .layers import Layers
 from .memory import check_memory
 from .methods.glossy import Reflections, has_lobes
 from .methods.wide_lobes import sees_alike
-from .passes import Passes
+from .passes import Passes, has_few_rays
 from .picture import Picture, nearest_triangles, splat
 from .planning.machine import cached_machine, look_again
 from .planning.planner import Planner, reduced
@@ -181,9 +181,10 @@ def _render(
             share = sequence.settings.frame_share if in_turn else 1.0  # history stands for the other rays
             # A kept view saves more time than the better network takes, and its sharper light flickers less where lamps move.
             least = "high" if in_turn and sequence.resting else "fast"
-            quality = run.planner.denoising_quality(passes.weight / share, elapsed(), least)
+            weight = passes.weight / share
+            quality, few = run.planner.denoising_quality(weight, elapsed(), least), has_few_rays(settings, weight)
             direct = settings.wants("Direct", "Combined")
-            picture = picture.denoised(denoiser, threads, direct=direct, indirect=not passes.as_it_is, quality=quality)
+            picture = picture.denoised(denoiser, threads, direct=direct, indirect=not passes.as_it_is, quality=quality, few=few)
             foreseen = run.planner.denoising_seconds(quality) if run.planner.machine else 0.0
         if run.seconds["denoise"] < TOO_SLOW * foreseen:
             with _calibration(run):  # for the budgets to come

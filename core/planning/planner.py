@@ -83,7 +83,8 @@ class Planner:
         if self.settings.time_budget is None or self.settings.smooth:
             return wanted
         left = self.settings.time_budget - elapsed
-        return max((quality for quality in DENOISING if self.denoising_seconds(quality) <= left), key=DENOISING.__getitem__, default="fast")
+        fitting = (quality for quality in DENOISING if self.denoising_seconds(quality) <= left)
+        return max((least, *fitting), key=DENOISING.__getitem__)
 
     def _for_passes(self, left: float) -> float:
         """Seconds for further passes, of those that are left of the budget: the denoiser takes longer for more rays."""

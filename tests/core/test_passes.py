@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lumigate.core.passes import UNSEEN, UNSEEN_NOISE, Passes, denoising_quality
+from lumigate.core.passes import UNSEEN, UNSEEN_NOISE, Passes, denoising_quality, has_few_rays
 from lumigate.core.picture import Picture
 from lumigate.core.pipeline import render
 from lumigate.core.settings import RenderSettings
@@ -119,6 +119,7 @@ def test_smooth_light_is_left_to_its_method():
 def test_the_denoiser_works_the_longer_the_more_rays_there_were():
     settings = RenderSettings(method="importance-sampling").with_defaults()  # the default is balanced, whatever its numbers
     assert [denoising_quality(settings, weight) for weight in (0.25, 1, 4)] == ["fast", "balanced", "high"]
+    assert [has_few_rays(settings, weight) for weight in (0.25, 1, 4)] == [True, False, False]
     assert [denoising_quality(settings, weight, least="balanced") for weight in (0.25, 4)] == ["balanced", "high"]
     assert denoising_quality(replace(settings, method="fuzzy-clustering"), 4, least="high") == "fast"
     assert denoising_quality(replace(settings, method="instant-radiosity"), 1) == "balanced"

@@ -117,6 +117,7 @@ def test_time_that_no_pass_can_use_is_the_denoisers():
     seconds = [planner.denoising_seconds(quality) for quality in ("fast", "balanced", "high")]
     np.testing.assert_allclose(seconds, MACHINE.denoising(100_000, 2) * np.array([0.8, 1.1, 1.8]))
     assert chosen == ["high", "balanced", "fast", "fast", "fast"]
+    assert planner.denoising_quality(0.5, 2.9, "high") == "high"
     # Without a budget the clock has no say.
     assert Planner(RenderSettings().with_defaults(), 100_000, None).denoising_quality(0.5, 0.0, "fast") == "fast"
 
