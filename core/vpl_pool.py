@@ -90,11 +90,14 @@ def _contributions(scene, vpls, begin, end, points, weights, g_max, rays_each, s
     return traced
 
 
-def drop_useless(vpls: Vpls, points: ShadingPoints) -> Vpls:
-    """Without the VPLs whose half-space holds no shading point (by the points' bounding box)."""
+def drop_useless(vpls: Vpls, points: ShadingPoints, beyond: np.ndarray | None = None) -> Vpls:
+    """Without the VPLs whose half-space holds no shading point, and none of the places `beyond` (N, 3), by their bounding box."""
     if len(points.pixel) == 0 or len(vpls.bounce) == 0:
         return vpls
     low, high = bounds(points.position)
+    if beyond is not None and len(beyond):
+        nearest, farthest = bounds(beyond)
+        low, high = np.minimum(low, nearest), np.maximum(high, farthest)
     # Of the box's corner that lies farthest ahead; by components, for sums over an axis of three are ten times as slow.
     columns = zip(vpls.position.T, vpls.normal.T, low, high)
     ahead = sum(np.maximum((above - x) * n, (below - x) * n) for x, n, below, above in columns) > 0
@@ -160,12 +163,14 @@ def vpl_pool(
     batches: int = MOST_BATCHES,
     particles: Particles = trace_particles,
     kept: int = 1,
+    beyond: np.ndarray | None = None,
 ) -> tuple[Vpls, dict]:
     """About `count` VPLs, times `kept`, that light the view, after at most `bounces` diffuse surfaces.
 
     g_max_of: (vpls, points) -> the clamp of the geometry term, which bounds what one light can seem to give.
     share: vpls -> the part of each one's light (M,) that is wanted (None: all of it).
     batches: of particles, at most.  particles: traces them, or knows them already; they may be changed here.
+    beyond: (N, 3), where else than at the points the light is wanted.
     kept: above 1, more of the lights of as many particles: for whoever looks at a part of the pool at each point.
 
     Returns:
@@ -182,7 +187,7 @@ def vpl_pool(
         vpls, rays = particles(scene, flown, bounces, seed + BATCH_SEED * batch, threads)
         counts["light"] += rays
         counts["traced"] += len(vpls.bounce)
-        useful = drop_useless(vpls, points)
+        useful = drop_useless(vpls, points, beyond)
         counts["useless"] += len(vpls.bounce) - len(useful.bounce)
         if len(useful.bounce):
             if share is not None:

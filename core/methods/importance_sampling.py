@@ -58,10 +58,11 @@ from ..vpl_pool import BATCH_SEED, Particles, vpl_pool
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
-from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, LightCache, Probes, build_light_cache, find_cell, look_up
+from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, Probes, build_light_cache, find_cell, look_up
 from .partition import strengths, trusted
 from .probes import Tracer, trace_farther, trace_probes
 from .tails import path_light
+from .thrown import redirected, throwing
 from .wide_lobes import WIDE_ALPHA, SharedRays, bound, drawn_share, gather_density, is_mirror, is_wide, known_light
 
 CHUNK = 1024  # points a chunk
@@ -542,10 +543,11 @@ class ImportanceSampling:
         # Where the view's light comes from last: there the particles are wanted.
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
         self.emitters = focused(scene.emitters, self.lit_from) if focus else scene.emitters
-        self.cache: LightCache = build_light_cache(
+        self.cache, self.links = build_light_cache(
             probes, self.bounces + (has_lobes(points) or is_translucent(scene)), self.seed, self.threads, part(progress, 0.6, 1.0),
             gathered=self.bounces, later=min(1.0, RELIABLE * focus_share(self.emitters)), relied=self.relied,
         )  # fmt: skip
+        self.probes = probes
         self.near = np.float32(NEAR * self.cache.size)
         self.weighed = False
         return rays
@@ -591,6 +593,7 @@ class ImportanceSampling:
         turn: of pictures that are averaged, which then take one batch of particles each, in turn.
         """
         scene = scene._replace(emitters=self.emitters)
+        thrown_on = throwing(self.probes, self.links, self.cache)
         vpls, counts = vpl_pool(
             scene,
             points,
@@ -604,6 +607,7 @@ class ImportanceSampling:
             batches=BATCHES if turn is None else 1,
             particles=particles,
             kept=KEPT,
+            beyond=self.probes.position[thrown_on],
         )
         if not len(vpls.bounce) and len(self.cache.share):  # none found their way: gather rays carry all
             self.cache = self.cache._replace(lit=0 * self.cache.lit, share=0 * self.cache.share, trust=0 * self.cache.trust)
@@ -611,7 +615,35 @@ class ImportanceSampling:
         order = np.argsort(morton_codes(vpls.position), kind="stable") if len(vpls.bounce) else np.zeros(0, np.int64)
         self.vpls = vpls.take(order)
         self.lights = light_table(self.vpls, max(1, round(len(order) / SUBSET)))
+        counts["shadow"] += self._redirect(thrown_on)
         return self.vpls, counts
+
+    def _redirect(self, first: np.ndarray) -> int:
+        """Tells the cache where lobes throw the lamps' light, of the probes `first` (P,); the shadow rays traced."""
+        vpls, n = self.vpls.take(self.vpls.shine > 0), len(first)
+        if not (n and len(vpls.bounce)):
+            return 0
+        points = ShadingPoints.allocate(n)
+        points.position[:], points.error[:] = self.probes.position[first], self.probes.error[first]
+        points.ng[:] = points.ns[:] = points.wo[:] = self.probes.normal[first]
+        irradiance, lights = self.scene.emitters.no_light(n), light_table(vpls, max(1, round(len(vpls.bounce) / SUBSET)))
+        cutouts = bool((self.scene.materials.flags & TRANSPARENT).any())
+        receivers, sources, counts = Reference(points), Reference(vpls), np.ones(n, np.int32)
+        scratch = [np.empty((n, 1), np.uint8) for _ in range(2)]
+
+        def work(begin, end):
+            return _sample_lights(
+                self.scene, receivers, sources, lights, counts, begin, end, 0, self.g_max, cutouts, self.near, self.cache.size,
+                np.uint32(self.seed + 5), 0, irradiance, irradiance, *scratch,
+            )  # fmt: skip
+
+        rays = sum(run_chunks(work, n, CHUNK, self.threads))
+        self.cache = redirected(
+            self.cache, Reference(self.probes), Reference(self.links), first, irradiance, self.g_max, self.bounces, self.threads
+        )
+        self.links = self.links._replace(shine=self.links.shine[:0])  # once is enough
+        self.pairs += n * lights.shape[2]
+        return rays
 
     def irradiance(
         self, points: ShadingPoints, progress: Progress | None = None, *, first: int = 0, by_share: bool = False, reflections: int = 0

@@ -50,6 +50,7 @@ class Probes(NamedTuple):
     shine: (N, 3 G) float32, the part of it that a glossy lobe has reflected, spread as by a diffuse one.
     beneath: (N, 3 G) float32, the part of it that comes from below the facet of a smooth surface, or nearly along it: no particle has it.
     carry: (N, 3) float32, the same for each unit that the linked surface sends.
+    albedo: (N, 3) float32, what it reflects of any irradiance by its diffuse lobe, of the first probe of each path.  error: (N,) float32, rounding error of the position (m).
     link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
     reflection, 2 by a glossy one.  side, link_side: (N,) int32, as `surface_side` has them.
     distance: (N,) float32, from where the path came (m).  valid: (N,) uint8, whether the path came so far.
@@ -61,12 +62,14 @@ class Probes(NamedTuple):
     shine: np.ndarray
     beneath: np.ndarray
     carry: np.ndarray
+    albedo: np.ndarray
     link_position: np.ndarray
     link_normal: np.ndarray
     link: np.ndarray
     side: np.ndarray
     link_side: np.ndarray
     distance: np.ndarray
+    error: np.ndarray
     valid: np.ndarray
 
     @staticmethod
@@ -77,9 +80,26 @@ class Probes(NamedTuple):
     @staticmethod
     def allocate(n: int, light_groups: int = 1) -> Probes:
         """Room for n probes, none of them valid."""
-        rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, *[3 * light_groups] * 3, 3, 3, 3)]
-        sides = [np.zeros(n, np.int32) for _ in range(2)]
-        return Probes(*rows, np.zeros(n, np.uint8), *sides, np.zeros(n, np.float32), np.zeros(n, np.uint8))
+        rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, *[3 * light_groups] * 3, 3, 3, 3, 3)]
+        sides, lengths = ([np.zeros(n, kind) for _ in range(2)] for kind in (np.int32, np.float32))
+        return Probes(*rows, np.zeros(n, np.uint8), *sides, *lengths, np.zeros(n, np.uint8))
+
+
+class Links(NamedTuple):
+    """How N probes and C cells of a cache hang together, for light whose direction is found later (`thrown`).
+
+    cells: (N, LEVELS) int32, of the probes, from the finest on.  link_cell: (N,) int64, where their links end, negative where nothing is known.
+    weight: (N,) float32, of the probes in their cells.  shine: (C, 3 G) float32 W/m^2, of what cells send the lamps' light that lobes reflect.
+    parent: (C,) int64, the next coarser cell, -1 for none.  order: (C,) int64, the cells, the coarsest first.  unit: (C,) float32, what a probe of each weighs.
+    """
+
+    cells: np.ndarray
+    link_cell: np.ndarray
+    weight: np.ndarray
+    shine: np.ndarray
+    parent: np.ndarray
+    order: np.ndarray
+    unit: np.ndarray
 
 
 class LightCache(NamedTuple):
@@ -95,6 +115,7 @@ class LightCache(NamedTuple):
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
     later: float32, by which `share` is less for light that has left several surfaces.
     trust: (C,) float32, by which `share` is less than how bright the cell is would have it: see `trusted`.
+    gain: (C, 3 G) float32 W/m^2, how much more irradiance each cell gets than its links tell, by what lobes throw on it (`thrown`); no rows for nothing.
     centre: (C, 6) float32, middle and normal of the cells.  side: (C,) int32, their sides.
     root: (C,) int64, the coarsest cell around each.
     """
@@ -110,6 +131,7 @@ class LightCache(NamedTuple):
     tau: np.float32
     later: np.float32
     trust: np.ndarray
+    gain: np.ndarray
     centre: np.ndarray
     side: np.ndarray
     root: np.ndarray
@@ -130,6 +152,7 @@ def no_cache() -> LightCache:
         np.float32(1),
         np.float32(1),
         none,
+        none.reshape(0, 3),
         none.reshape(0, 6),
         np.zeros(0, np.int32),
         np.zeros(0, np.int64),
@@ -281,19 +304,19 @@ def _links(probes, cache, begin, end, seed, link_cell):
 def _solve(
     probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, root: np.ndarray, level_of: np.ndarray,
     near: np.float32, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, beneath: np.ndarray, threads: int, go_on: Callable[[float], None],
-) -> np.ndarray:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
 
     halves: (2, C, 3 G), its `row` again, as half of the paths tell it;  shine: (2, C, 3 G), the part of that which came from lamps
     and was reflected by a glossy lobe.  first_of: (2, C, 3 G), all that came straight from lamps.  beneath: (2, C, 3 G), of it what came from below facets.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
 
-    Returns (2, C) float32: the weight of the probes of each cell, of either half.
+    Returns (2, C) float32: the weight of the probes of each cell, of either half; `order` and `unit` of `Links`.
     """
     count, turns = len(parent), _glossy_turns(probes)
     order = np.argsort(-level_of.astype(np.int64), kind="stable")
     knows = np.flatnonzero(probes.valid > 0)
     half = _half(knows)
-    weight = np.where((knows % DEPTH == 0) & (probes.distance[knows] > near), _1, LATER)
+    weight = _weights(probes, near)[knows]
     linked = weight * (link_cell[knows] != -1)
     places = np.ascontiguousarray(cells[knows].T)
     parts = [(np.ascontiguousarray(places[:, half == h]), np.flatnonzero(half == h)) for h in range(2)]
@@ -302,7 +325,7 @@ def _solve(
         """Sums (2, C, K) over the probes of each cell, of either half of the paths."""
         sums = np.zeros((2, count, values.shape[1]), np.float32)
         for (where, rows), out in zip(parts, sums, strict=True):
-            _add(where, values[rows], out, threads)
+            add_to_cells(where, values[rows], out, threads)
         return sums
 
     light = probes.direct[knows]
@@ -312,16 +335,16 @@ def _solve(
     direct, number = direct_of.sum(axis=0), number_of.sum(axis=0)
     unit = np.divide(squares[:, 1], number, out=np.ones(count, np.float32), where=number > 0)
     likeness = _likeness(parent, level_of, number, squares, _THIRD * direct.sum(axis=1))
-    _smooth(direct, number, unit, parent, order, likeness)
+    smooth(direct, number, unit, parent, order, likeness)
     parts_of = [(part, of) for part, of in ((shine, probes.shine), (beneath, probes.beneath)) if of.any()]
     for part, of in parts_of:
         part[:] = summed(weight[:, None] * of[knows])
     # Half of the probes know half as much, of what is around them, too.
     half_likeness = _HALF * likeness
     for h in range(2):
-        _smooth(direct_of[h], number_of[h], unit, parent, order, half_likeness)
+        smooth(direct_of[h], number_of[h], unit, parent, order, half_likeness)
         for part, _ in parts_of:
-            _smooth(part[h], number_of[h], unit, parent, order, half_likeness)
+            smooth(part[h], number_of[h], unit, parent, order, half_likeness)
     sending = link_cell[knows] >= 0
     link, sends = link_cell[knows[sending]], np.cumsum(sending) - 1
     carry = weight[sending, None] * probes.carry[knows[sending]]
@@ -344,7 +367,10 @@ def _solve(
         if first and turns > 1 and bounce > 0:
             radiosity[bounce] = radiosity[bounce - 1]
         run_chunks(
-            lambda begin, end, bounce=bounce: _carry(link, carry, glossy, radiosity, bounce, begin, end, carried), len(link), CHUNK, threads
+            lambda begin, end, bounce=bounce: carry_over(link, carry, glossy, radiosity, bounce, begin, end, carried),
+            len(link),
+            CHUNK,
+            threads,
         )
         gathered = bounce == row and (step + 1 == len(schedule) or schedule[step + 1][0] > row)
         if gathered:
@@ -352,19 +378,19 @@ def _solve(
             total = halves.sum(axis=0)
         else:
             total = np.zeros_like(direct)
-            _add(places, carried, total, threads)
-        _smooth(total, linked, unit, parent, order, likeness)
+            add_to_cells(places, carried, total, threads)
+        smooth(total, linked, unit, parent, order, likeness)
         np.add(direct, total, out=radiosity[bounce])
         _balance(*looked_up, root, trust, bounce, radiosity, sums, scale)
         if gathered:
             for h in range(2):
-                _smooth(halves[h], linked_of[h], unit, parent, order, _HALF * likeness)
+                smooth(halves[h], linked_of[h], unit, parent, order, _HALF * likeness)
             halves += direct_of
             halves *= scale
             shine *= scale
             beneath *= scale
             first_of[:] = direct_of * scale
-    return number_of
+    return number_of, order, unit
 
 
 def _half(probes: np.ndarray) -> np.ndarray:
@@ -372,7 +398,7 @@ def _half(probes: np.ndarray) -> np.ndarray:
     return (probes // DEPTH) % 2
 
 
-def _add(places: np.ndarray, values: np.ndarray, out: np.ndarray, threads: int) -> None:
+def add_to_cells(places: np.ndarray, values: np.ndarray, out: np.ndarray, threads: int) -> None:
     """Adds values (N, K) to the cells (LEVELS, N) of each level in out (C, K)."""
     values = np.ascontiguousarray(values, np.float32)
 
@@ -391,7 +417,7 @@ def _scatter(cell, values, out):
 
 
 @kernel
-def _carry(link, carry, glossy, radiosity, bounce, begin, end, carried):
+def carry_over(link, carry, glossy, radiosity, bounce, begin, end, carried):
     """What the links begin..end-1 carry in a bounce into `carried` (M, 3 G)."""
     for i in range(begin, end):
         row = bounce if glossy[i] else bounce - 1
@@ -477,7 +503,7 @@ def _likeness(parent: np.ndarray, level_of: np.ndarray, number: np.ndarray, squa
 
 
 @kernel
-def _smooth(values, number, unit, parent, order, likeness):
+def smooth(values, number, unit, parent, order, likeness):
     """Turns the sums (C, 3 G) of cells into means; a coarser cell stands in for what a finer one has not seen.
 
     number: (C,) the sum of the weights.  unit: (C,) what a probe of the cell weighs.  likeness: (C,) as how many probes the
@@ -599,8 +625,8 @@ def build_light_cache(
     gathered: int | None = None,
     later: float = 1.0,
     relied: float = 0.0,
-) -> LightCache:
-    """Cells that hold what the probes know of light that left 1 to `bounces` surfaces.
+) -> tuple[LightCache, Links]:
+    """Cells that hold what the probes know of light that left 1 to `bounces` surfaces, and how they hang together.
 
     gathered: how many of them the light has left that gather rays look up, None for `bounces`.
     later: what virtual lights carry of light that has left several surfaces, as a part of what they carry of other light.
@@ -634,7 +660,7 @@ def build_light_cache(
     one = np.float32(1)
     cache = LightCache(
         origin, size, keys, slot, radiosity, halves[0], shine[0], np.zeros(count, np.float32), one, one,
-        np.ones(count, np.float32), centre, side_of, np.arange(count),
+        np.ones(count, np.float32), radiosity[0, :0], centre, side_of, np.arange(count),
     )  # fmt: skip
     parent = _parents(cache, level_of, centre, side_of)
     root = np.arange(count)
@@ -645,7 +671,7 @@ def build_light_cache(
     seen_cell = look_up(cache, probes.position, probes.normal, probes.side, seed + 3, threads)
     go_on(0.4)
     row = (bounces if gathered is None else gathered) - 1
-    number_of = _solve(
+    number_of, order, unit = _solve(
         probes, cells, link_cell, seen_cell, parent, root, level_of, np.float32(NEAR * size), radiosity, row, halves, shine, first_of,
         beneath, threads, go_on,
     )  # fmt: skip
@@ -657,9 +683,16 @@ def build_light_cache(
         )  # fmt: skip
     number = number_of.sum(axis=0)
     counts = number_of / np.maximum(number, np.float32(1e-6))
+    links = Links(cells, link_cell, _weights(probes, NEAR * size), np.einsum("hc,hck->ck", counts, shine), parent, order, unit)
     later += relied * (1 - later)
     sent, lit, share = divided(halves, shine, first_of, beneath, counts, bright, number, tau, parent, np.float32(later), np.float32(relied))
-    return cache._replace(sent=sent, lit=lit, share=share, tau=tau, later=np.float32(later), root=root)
+    return cache._replace(sent=sent, lit=lit, share=share, tau=tau, later=np.float32(later), root=root), links
+
+
+def _weights(probes: Probes, near: np.float32) -> np.ndarray:
+    """Of the probes in their cells, (N,) float32: as far as no visible point has met them from afar, they tell of other places than those looked up."""
+    first = np.arange(len(probes.valid)) % DEPTH == 0
+    return (probes.valid > 0) * np.where(first & (probes.distance > near), _1, LATER)
 
 
 def _glossy_turns(probes: Probes) -> int:

@@ -14,8 +14,9 @@ from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE, GLOSSY, REFRACTIVE
-from ..surfaces.layout import SURFACE
-from ..surfaces.lobes import LOBE
+from ..surfaces.bumps import mean_shadowing
+from ..surfaces.layout import SURFACE, TILT, diffuse_albedo
+from ..surfaces.lobes import LOBE, lobe_cosine
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
@@ -91,6 +92,11 @@ def _probe_path(
         probes.side[probe] = side
         probes.position[probe, 0], probes.position[probe, 1], probes.position[probe, 2] = x, y, z
         probes.normal[probe, 0], probes.normal[probe, 1], probes.normal[probe, 2] = gx, gy, gz
+        if vertex == 0:
+            probes.error[probe] = error
+            lit = mean_shadowing(surface[TILT])
+            r, g, b = diffuse_albedo(surface, lobe_cosine(sx, sy, sz, gx, gy, gz, -dx, -dy, -dz))
+            probes.albedo[probe, 0], probes.albedo[probe, 1], probes.albedo[probe, 2] = lit * r, lit * g, lit * b
         mirrored = _0 if encloses(scene.materials.flags[scene.material[triangle]], behind) else _1
         tx, ty, tz, r, g, b, kinds = scatter_light(
             scene, packet, rows, surface, lobe, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered, LAMP_RAYS, True, seed, path, at,

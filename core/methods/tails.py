@@ -169,6 +169,21 @@ def scatter_light(
 
 
 @leaf
+def _add_gain(scene, surface, cache, on, x, y, z, gx, gy, gz, cosine, seed, path, at, wr, wg, wb, out, i):
+    """Adds to row i of `out` what a surface reflects, weighed by w, of the light that lobes throw on it and its links do not tell."""
+    _, _, _, nx, ny, nz, _ = hit_point(scene.vertices, scene.triangles, on, _THIRD, _THIRD)
+    side = surface_side(scene.material[on], nx * gx + ny * gy + nz * gz < _0)
+    cell = find_cell(cache, x, y, z, gx, gy, gz, side, uniform(seed, path, at, 62), uniform(seed, path, at, 63))
+    if cell < 0:
+        return
+    dr, dg, db = diffuse_albedo(surface, cosine)
+    for c in range(0, out.shape[1], 3):
+        out[i, c] += wr * dr * cache.gain[cell, c]
+        out[i, c + 1] += wg * dg * cache.gain[cell, c + 1]
+        out[i, c + 2] += wb * db * cache.gain[cell, c + 2]
+
+
+@leaf
 def path_light(
     scene, packet, rows, surface, lobe, cache, near, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, bounces, seed, path,
     out, i, kr, kg, kb, own, sheen, whole,
@@ -188,6 +203,28 @@ def path_light(
     mirrored = _1
     for vertex in range(bounces + _MORE_SURFACES):
         at = vertex * DIMENSIONS
+        if left > 0 and len(cache.gain) > 0:
+            _add_gain(
+                scene,
+                surface,
+                cache,
+                on,
+                x,
+                y,
+                z,
+                gx,
+                gy,
+                gz,
+                lobe_cosine(sx, sy, sz, gx, gy, gz, wx, wy, wz),
+                seed,
+                path,
+                at,
+                kr * wr,
+                kg * wg,
+                kb * wb,
+                out,
+                i,
+            )
         first = own if vertex == 0 else _1
         shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1

@@ -193,7 +193,7 @@ def probes_on_a_plane(n, direct, seed=0):
 
 def test_cache_keeps_the_light_of_a_plane():
     # Half dark, half bright: the light as a whole is kept, and the halves are told apart but for the seam.
-    cache = build_light_cache(probes_on_a_plane(20000, lambda x, y: np.where(x < 0.5, 0.1, 2.0)), 2, seed=1)
+    cache, _ = build_light_cache(probes_on_a_plane(20000, lambda x, y: np.where(x < 0.5, 0.1, 2.0)), 2, seed=1)
     rng = np.random.default_rng(2)
     places = np.column_stack([rng.random((20000, 2)), np.zeros(20000)]).astype(np.float32)
     cell = look_up(cache, places, np.tile(np.float32([0, 0, 1]), (20000, 1)), np.zeros(20000, np.int32), 3)
@@ -212,14 +212,14 @@ def test_a_patch_of_sun_does_not_light_the_dark_beside_it():
     dark = probes.position[first, 0] > 0.5
     probes.valid[first] &= ~dark | (np.arange(len(dark)) % 8 == 1)
     probes.distance[first][dark] = 0.0  # nobody looks at them from afar: they weigh a fifth
-    cache = build_light_cache(probes, 1, seed=1)
+    cache, _ = build_light_cache(probes, 1, seed=1)
     places = np.column_stack([np.full(20000, 0.7), np.linspace(0.05, 0.95, 20000), np.zeros(20000)]).astype(np.float32)
     cell = look_up(cache, places, np.tile(np.float32([0, 0, 1]), (20000, 1)), np.zeros(20000, np.int32), 3)
     assert cache.radiosity[0, cell, 0].mean() < 0.2  # .08; with coarser cells as two probes .39, as two whole ones 2.5
 
 
 def test_cache_does_not_leak_to_the_other_side_or_around_a_corner():
-    cache = build_light_cache(probes_on_a_plane(5000, lambda x, y: np.ones_like(x)), 1, seed=1)
+    cache, _ = build_light_cache(probes_on_a_plane(5000, lambda x, y: np.ones_like(x)), 1, seed=1)
     places = np.tile(np.float32([0.5, 0.5, 0.0]), (4, 1))
     normals = np.float32([(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, 0, 1)])
     sides = np.array([0, 0, 0, 1])  # the last one: the back of a fold whose front has the same normal
@@ -236,14 +236,14 @@ def test_links_carry_light_bounce_after_bounce():
     probes.carry[first], probes.link[first] = 0.5, 1
     probes.link_position[first] = probes.position[first] * (1, 1, -1) + (0, 0, 1)
     probes.link_normal[first] = -probes.normal[first]
-    cache = build_light_cache(probes, 3, seed=1)
+    cache, _ = build_light_cache(probes, 3, seed=1)
     np.testing.assert_allclose(cache.radiosity[:, :, 0].T, np.tile([1.0, 1.5, 1.75], (len(cache.share), 1)), rtol=1e-4)
 
 
 def test_what_lights_carry_of_a_cell_has_no_bias_by_its_noise():
     # Each probe's sample is 1 on average, and so noisy that by a brightness told by the same probes lights would carry 7 % more than their share.
     noise = np.random.default_rng(5).exponential(1.0, 40000)
-    cache = build_light_cache(probes_on_a_plane(40000, lambda x, y: noise), 1, seed=1)
+    cache, _ = build_light_cache(probes_on_a_plane(40000, lambda x, y: noise), 1, seed=1)
     finest = cache.share > 0
     assert cache.sent[finest, 0].mean() == pytest.approx(1, rel=0.02)
     assert cache.lit[finest, 0].mean() == pytest.approx(cache.share[finest].mean(), rel=0.03)
@@ -253,7 +253,7 @@ def test_rare_light_is_spread_and_not_lost():
     # One path in fifty finds anything.  Of a spark that half of the paths found, the other half knows nothing: gather rays carry it, as an even glow.
     rng = np.random.default_rng(6)
     light = np.where(rng.random(40000) < 0.02, 50.0, 0.0)
-    cache = build_light_cache(probes_on_a_plane(40000, lambda x, y: light), 1, seed=1)
+    cache, _ = build_light_cache(probes_on_a_plane(40000, lambda x, y: light), 1, seed=1)
     places = np.column_stack([rng.random((20000, 2)), np.zeros(20000)]).astype(np.float32)
     cell = look_up(cache, places, np.tile(np.float32([0, 0, 1]), (20000, 1)), np.zeros(20000, np.int32), 3)
     gathered, lights = (cache.sent - cache.lit)[cell, 0].mean(), cache.share[cell].mean() * light.mean()
@@ -264,7 +264,7 @@ def test_rare_light_is_spread_and_not_lost():
 def test_what_glossy_surfaces_reflect_of_lamps_is_left_to_lights():
     probes = probes_on_a_plane(4000, lambda x, y: np.ones_like(x))
     probes.shine[probes.valid > 0] = 0.4
-    cache = build_light_cache(probes, 1, seed=1)
+    cache, _ = build_light_cache(probes, 1, seed=1)
     np.testing.assert_allclose(cache.sent, 1, rtol=1e-4)
     np.testing.assert_allclose(cache.lit[:, 0], 0.4 + 0.6 * cache.share, rtol=1e-4)
 
@@ -359,7 +359,7 @@ def test_lights_of_a_glossy_floor_together_are_as_wide_as_its_lobe(build, roughn
 
 
 def test_empty_scenes_have_an_empty_cache(room):
-    cache = build_light_cache(Probes.allocate(64), 2, seed=1)
+    cache, _ = build_light_cache(Probes.allocate(64), 2, seed=1)
     assert (look_up(cache, np.zeros((1, 3), np.float32), np.float32([[0, 0, 1]]), np.zeros(1, np.int32), 1) == -1).all()
     tables, points = room
     probes, rays = trace_probes(tables, points.take(np.arange(1)), 10, seed=1)

@@ -1,0 +1,86 @@
+"""What lobes throw on the surfaces that gather rays meet: the cache of light has it where it falls, and no more of it."""
+
+import numpy as np
+import pytest
+
+from lumigate.core.methods.light_cache import DEPTH, DIFFUSE_LINK, Probes, build_light_cache
+from lumigate.core.methods.thrown import redirected, throwing
+
+ALBEDO, SHINE = 0.5, 0.4
+HUGE = np.float32(1e30)
+
+
+def facing_planes(n=4000):
+    """Two planes a metre apart that see only each other, of albedo ALBEDO: what the lower one sends is in part what lobes reflect of lamps."""
+    rng = np.random.default_rng(1)
+    probes = Probes.allocate(n * DEPTH)
+    first = np.arange(0, n * DEPTH, DEPTH)
+    upper = np.arange(n) >= n // 2
+    probes.valid[first], probes.distance[first] = 1, 10.0
+    probes.position[first, :2], probes.position[first, 2] = rng.random((n, 2)), upper
+    probes.normal[first, 2] = np.where(upper, -1, 1)
+    probes.direct[first], probes.shine[first] = np.where(upper, 0.0, 1.0)[:, None], np.where(upper, 0.0, SHINE)[:, None]
+    probes.albedo[first], probes.carry[first], probes.link[first] = ALBEDO, ALBEDO, DIFFUSE_LINK
+    probes.link_position[first] = probes.position[first] * (1, 1, -1) + (0, 0, 1)
+    probes.link_normal[first] = -probes.normal[first]
+    return probes, first, upper
+
+
+@pytest.fixture(scope="module")
+def planes():
+    """(probes, rows of the first ones, which of them lie on the upper plane, cache, links)."""
+    probes, first, upper = facing_planes()
+    return probes, first, upper, *build_light_cache(probes, 4, seed=1)
+
+
+def sent_by(planes, radiosity):
+    """What the finest cells around the probes of the upper plane send after each bounce (B, N), and the x of the probes."""
+    probes, first, upper, _, links = planes
+    return radiosity[:, links.cells[first[upper], 0], 0], probes.position[first[upper], 0]
+
+
+def test_light_that_falls_evenly_stays_as_it_was(planes):
+    probes, first, upper, cache, links = planes
+    rows = throwing(probes, links, cache)
+    np.testing.assert_array_equal(rows, first)
+    irradiance = np.where(upper, SHINE, 0.0)[:, None].repeat(3, axis=1).astype(np.float32)
+    found = redirected(cache, probes, links, rows, irradiance, HUGE, 4)
+    np.testing.assert_allclose(found.radiosity, cache.radiosity, rtol=1e-4)
+    np.testing.assert_allclose(found.sent, cache.sent, rtol=1e-4)
+    np.testing.assert_allclose(found.lit, cache.lit, rtol=1e-4)
+    np.testing.assert_allclose(found.gain, 0, atol=1e-4)
+
+
+def test_light_falls_where_it_is_thrown_and_is_reflected_on(planes):
+    # All of it on the half x > .5 of the upper plane, which sends twice as much of it; the lower plane, right below, hears of it a bounce later.
+    probes, first, upper, cache, links = planes
+    irradiance = np.where(upper & (probes.position[first, 0] > 0.5), 2 * SHINE, 0.0)[:, None].repeat(3, axis=1).astype(np.float32)
+    found = redirected(cache, probes, links, first, irradiance, HUGE, 4)
+    sent, x = sent_by(planes, found.radiosity)
+    before, _ = sent_by(planes, cache.radiosity)
+    bright, dark = x > 0.6, x < 0.4
+    np.testing.assert_allclose(sent[0], before[0], atol=1e-6)  # what left one surface is known as it is
+    for half, sign in ((bright, 1), (dark, -1)):
+        assert (sent - before)[1, half].mean() == pytest.approx(sign * ALBEDO * SHINE, rel=0.05)
+        # The way there and back: ALBEDO^2 of it is added for each two bounces.
+        assert (sent - before)[3, half].mean() == pytest.approx(sign * ALBEDO * SHINE * (1 + ALBEDO**2), rel=0.05)
+        assert (found.gain[links.cells[first[upper], 0], 0])[half].mean() == pytest.approx(sign * SHINE, rel=0.05)
+    assert sent.mean() == pytest.approx(before.mean(), rel=0.01)
+    assert found.sent.mean() == pytest.approx(cache.sent.mean(), rel=0.01)
+
+
+def test_what_lights_do_not_carry_stays_with_the_links(planes):
+    # A clamp of the geometry term at a quarter of what it is between the planes: lights have a quarter, as irradiance has.
+    probes, first, upper, cache, links = planes
+    irradiance = np.where(upper, SHINE / 4, 0.0)[:, None].repeat(3, axis=1).astype(np.float32)
+    found = redirected(cache, probes, links, first, irradiance, np.float32(0.25), 4)
+    np.testing.assert_allclose(found.radiosity, cache.radiosity, rtol=1e-4)
+
+
+def test_no_ray_is_spent_where_lobes_throw_next_to_nothing():
+    probes, _, _ = facing_planes()
+    probes.shine[:] *= 0.01
+    cache, links = build_light_cache(probes, 4, seed=1)
+    assert not len(throwing(probes, links, cache))
+    cache, links = build_light_cache(facing_planes()[0], 1, seed=1)  # one bounce: nobody looks up what has left two surfaces
+    assert not len(throwing(*facing_planes()[:1], links, cache))
