@@ -16,6 +16,7 @@ from ..scene import DIFFUSE as DIFFUSE_RAY
 from . import frosted, ggx
 from . import sheen as sheens
 from .layout import (
+    BEND,
     COAT,
     COAT_F0,
     COAT_ROUGHNESS,
@@ -206,8 +207,9 @@ def _through(surface, r, g, b, roughness, ior, thin, wr, wg, wb, cosine):
     """Lets (r, g, b) straight through, as glass does, or about the straight way where it is rough."""
     add(surface, TRANSPARENCY, wr, wg, wb, r, g, b)
     add(surface, REFRACTION, wr, wg, wb, r, g, b)
+    passed = wr * max(r, F(0)) + wg * max(g, F(0)) + wb * max(b, F(0))
+    surface[BEND] += passed * (F(1) if thin else ior)
     if roughness > F(0):
-        passed = wr * max(r, F(0)) + wg * max(g, F(0)) + wb * max(b, F(0))
         alpha = frosted.thin_alpha(roughness, ior) if thin else frosted.lobe_alpha(roughness, ior, view_cosine(cosine))
         surface[FROST] += passed * alpha
 
@@ -419,8 +421,10 @@ def finish(surface):
     if coat_weight > F(0):
         surface[COAT_F0] /= coat_weight
         surface[COAT_ROUGHNESS] /= coat_weight
-    if surface[FROST] > F(0):
-        surface[FROST] /= surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
+    refracted = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
+    if refracted > F(0):
+        surface[FROST] /= refracted
+        surface[BEND] /= refracted
     glossy_weight = F(0)
     for k in range(6):
         glossy_weight += surface[GLOSSY_F0 + k]

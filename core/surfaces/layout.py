@@ -42,7 +42,8 @@ GLOSS = 40  # four numbers of the glossy lobes, weighted as ROUGHNESS, by which 
 COAT = 44  # rgb: the part of GLOSSY_F90 that is a coat's, whose lobe is apart from the others for those who look at it (see `bare`)
 COAT_F0 = 47  # its reflectance at normal incidence, over that at grazing incidence
 COAT_ROUGHNESS = 48
-SURFACE = 49  # length
+BEND = 49  # index of refraction by which REFRACTION leaves, weighted by it; 1 for thin walls, 0 where nothing does
+SURFACE = 50  # length
 
 COAT_TOP = F(-1)  # the first number of `GLOSS` of a coat's lobe by itself; among others it counts as 1
 # Lobes at least as rough spread light about as a diffuse one does.

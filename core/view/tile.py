@@ -32,6 +32,7 @@ from ..surfaces.arithmetic import normalized
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.frosted import joined_alpha, seen_through
 from ..surfaces.layout import (
+    BEND,
     COAT,
     COAT_F0,
     COAT_ROUGHNESS,
@@ -66,6 +67,7 @@ from .lamps import lamps_between
 TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample index
 PANES = 2  # surfaces of glass, mirrors, or one veil, that a sample shows as well as what lies behind them
 POLISHED = np.float32(0.1)  # roughness of a mirror, at most
+STRAIGHT_ON = np.float32(1e-3)  # distance of an index of refraction from 1 up to which glass bends nothing
 PERFECT = np.float32(0.02)  # the same where lamps are met by chance as well as by shadow rays
 SHINY = np.float32(0.3)  # share of the glossy lobe in all that a mirror reflects, at least
 MAX_LAYERS = 64  # transparent surfaces that one primary ray passes at most
@@ -325,6 +327,32 @@ def _scattered(materials, geometry, material, triangle, u, v, dx, dy, dz, u1, u2
     return x, y, z, dx, dy, dz, w
 
 
+@leaf
+def _bent(materials, geometry, material, triangle, u, v, dx, dy, dz, surface):
+    """How a sample along d goes on through clear glass, whose `surface` is evaluated, by Snell's law: (whether it turns, origin, direction).
+
+    Only what has a thickness bends it for good; a solid's back bends it the other way.
+    """
+    x, y, z, gx, gy, gz, error = hit_point(geometry.vertices, geometry.triangles, triangle, u, v)
+    sx, sy, sz = shading_normal(geometry.corner_normals, triangle, u, v, gx, gy, gz)
+    sx, sy, sz = mapped_normal(materials, material, surface, sx, sy, sz)
+    eta = _1 / surface[BEND]
+    if gx * dx + gy * dy + gz * dz < _0:
+        gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+    else:
+        eta = surface[BEND]
+    cosine = sx * dx + sy * dy + sz * dz
+    within = _1 - eta * eta * (_1 - cosine * cosine)
+    if not (within > _0 and cosine > _0):
+        return False, x, y, z, dx, dy, dz
+    along = np.float32(math.sqrt(within)) - eta * cosine
+    tx, ty, tz = normalized(eta * dx + along * sx, eta * dy + along * sy, eta * dz + along * sz)
+    if gx * tx + gy * ty + gz * tz <= _0:
+        return False, x, y, z, dx, dy, dz
+    x, y, z = offset_origin(x, y, z, gx, gy, gz, error, tx, ty, tz)
+    return True, x, y, z, tx, ty, tz
+
+
 @inlined
 def _filtered(film, u):
     """Where in the pixel a sample lies, by a uniform u in [0, 1) and the offsets of `Film`."""
@@ -494,6 +522,11 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                     uniform(seed, number, s, 100 + layer), uniform(seed, number, s, 200 + layer), surface, tile.lobe,
                 )  # fmt: skip
                 r, g, b = x * r, x * g, x * b
+            turns = False
+            if way & REFRACTED and not frost > _0 and abs(surface[BEND] - _1) > STRAIGHT_ON:
+                turns, bx, by, bz, ex, ey, ez = _bent(materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, surface)
+                if turns:
+                    ox, oy, oz, dx, dy, dz = bx, by, bz, ex, ey, ez
             if way & SHOWN:
                 row = s
                 if way & (STRAIGHT | REFRACTED | REFLECTED):  # the sample goes on beyond a pane, which gets a row of its own
@@ -542,10 +575,11 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                 passed[lane] = t
                 if way & REFRACTED:
                     glass[pixel, s] += 1
-                    entered[pixel, s] = passed_glass(entered[pixel, s], behind)
+                    if not turns:  # else it meets the back at the angle at which it is within
+                        entered[pixel, s] = passed_glass(entered[pixel, s], behind)
                     kinds[pixel, s] = TRANSMISSION
                     tile.shown_by[pixel, s] = triangle
-                    if frost > _0:
+                    if turns or frost > _0:
                         origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
                         direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2] = dx, dy, dz
                         tile.before[lane] += t * tile.axial[lane]
