@@ -51,6 +51,8 @@ def throwing(probes: Probes, links: Links, cache: LightCache) -> np.ndarray:
         return none
     first = np.arange(0, len(probes.valid), DEPTH)
     linked = first[(probes.valid[first] > 0) & (probes.link[first] == DIFFUSE_LINK) & (links.link_cell[first] >= 0)]
+    if not len(linked):
+        return none
     shine, whole = (
         float(np.einsum("nk,nk->", probes.carry[linked], _grey(light[links.link_cell[linked]]), dtype=np.float64))
         for light in (links.shine, cache.radiosity[-1])

@@ -83,4 +83,7 @@ def test_no_ray_is_spent_where_lobes_throw_next_to_nothing():
     cache, links = build_light_cache(probes, 4, seed=1)
     assert not len(throwing(probes, links, cache))
     cache, links = build_light_cache(facing_planes()[0], 1, seed=1)  # one bounce: nobody looks up what has left two surfaces
-    assert not len(throwing(*facing_planes()[:1], links, cache))
+    probes, _, _ = facing_planes()
+    assert not len(throwing(probes, links, cache))
+    probes.link[:] = 0  # all rays miss
+    assert not len(throwing(probes, *build_light_cache(probes, 4, seed=1)[::-1]))

@@ -1,0 +1,71 @@
+"""Glass bends what is seen through it, as in Cycles: a ball shows the room upside down, a thick block and a sheet of one plane displace it."""
+
+import hashlib
+import math
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from lumigate.addon.extract import extract_scene
+from lumigate.core.metrics import net_relmse
+from lumigate.core.pipeline import render
+from lumigate.core.settings import RenderSettings
+from lumigate.headless.cache import cached_halves
+
+from .test_direct_light import lamp, look, material, quad
+from .test_glass import slab
+
+SIZE = (72, 32)
+SPP = 512
+# Columns of the picture in which each thing lies, without its edges.
+THINGS = {"ball": slice(3, 22), "block": slice(28, 44), "sheet": slice(51, 69)}
+
+
+def show():
+    """A ball, a block and a sheet of glass before a chequered wall."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    colours = [
+        material(f"Wall {k}", Base_Color=(*rgb, 1), Specular_IOR_Level=0.0) for k, rgb in enumerate(((0.8, 0.1, 0.1), (0.7, 0.7, 0.7)))
+    ]
+    for k in range(8):
+        for row in range(4):
+            x, z = k - 4.0, row - 2.0
+            quad(scene, [(x, 2, z), (x + 1, 2, z), (x + 1, 2, z + 1), (x, 2, z + 1)], colours[(k + row) % 2])
+    quad(scene, [(-4, -2, -2), (4, -2, -2), (4, 2, -2), (-4, 2, -2)], colours[1])
+    lamp(scene, "AREA", (0, -1.5, 2.5), (math.radians(-40), 0, 0), energy=400.0, size=2.0, seen=False)
+    # What shows of it in glass, reflected inside, is found by rays that go straight.
+    scene.collection.objects[-1].visible_glossy = scene.collection.objects[-1].visible_transmission = False
+    glass = material("Glass", Transmission_Weight=1.0, Roughness=0.0, IOR=1.5)
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=1.0, location=(-2.4, 0, 0), segments=64, ring_count=32)
+    bpy.context.object.data.polygons.foreach_set("use_smooth", [True] * len(bpy.context.object.data.polygons))
+    bpy.context.object.data.materials.append(glass)
+    slab(scene, -0.9, 0.9, -0.5, 0.5, -1.1, 1.1, glass)
+    block = scene.collection.objects[-1]
+    block.rotation_euler = (0, 0, math.radians(15))
+    quad(scene, [(1.5, -0.4, -1.1), (3.3, 0.6, -1.1), (3.3, 0.6, 1.1), (1.5, -0.4, 1.1)], glass)
+    for thing in (bpy.context.object, block, scene.collection.objects[-1]):
+        thing.visible_diffuse = thing.visible_shadow = False  # light comes to the wall past them, in both programs
+    look(scene, (0, -6, 0), (math.pi / 2, 0, 0), type="ORTHO", ortho_scale=7.2)
+    return scene
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """(halves of the reference, ours)."""
+    scene = show()
+    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest()}
+    halves = cached_halves(scene, identity, size=SIZE, spp=SPP, bounces=4, seed=1)
+    return halves, render(extract_scene(scene, size=SIZE), RenderSettings(pixel_samples=64, denoise=False)).layers
+
+
+@pytest.mark.parametrize("thing", THINGS)
+def test_what_is_seen_through_glass_lies_where_cycles_has_it(pictures, thing):
+    halves, ours = pictures
+    within = (slice(8, 24), THINGS[thing])
+    a, b, mine = (layers["GlossyIndirect"][within] for layers in (*halves, ours))
+    assert np.mean(mine) == pytest.approx((np.mean(a) + np.mean(b)) / 2, rel=0.03)
+    print(f"{thing=} {np.mean(mine) / np.mean(a + b) * 2:.4f}, {net_relmse(mine, a, b):.4f}")
+    assert net_relmse(mine, a, b) < 0.01
