@@ -27,7 +27,8 @@ def displaced_normal(scope: Scope, output: bpy.types.Node) -> Value | None:
         context.warn("its displacement is shown as bumps: the surface keeps its shape")
     surface = context.program.attribute(WORLD_NORMAL)
     try:
-        return bent(node, surface, lambda: node.vector("DOT_PRODUCT", node["Displacement"], surface), ONE, ONE, scalar(0.1))
+        normal = bent(node, surface, lambda: node.vector("DOT_PRODUCT", node["Displacement"], surface), ONE, ONE, scalar(0.1))
     except Unsupported as reason:
         context.warn(f"its displacement is left out: {reason}")
         return None
+    return None if normal == surface else normal

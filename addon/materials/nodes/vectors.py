@@ -198,6 +198,8 @@ def bent(node: NodeInput, surface: Value, height_here: Callable[[], Value], stre
         step = node.math("MAXIMUM", step, node.math("MULTIPLY", largest, scalar(_SHORTEST)))
         steps = node.emit(outlined.BUMP_STEP, *edges, node.pack(step, facing))
         height = height_here()
+        if isinstance(height, Constant):
+            return surface
     rises = []
     for u, v in ((0, 1), (2, 3)):
         with program.displaced(node.pack(node.splat(steps, u), node.splat(steps, v))):
