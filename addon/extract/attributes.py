@@ -123,6 +123,9 @@ def _values(request: AttributeRequest, batch: Batch, compiled: CompiledMaterials
         return batch.world[:, batch.mesh.corners]
     if request.kind == requests.WORLD_NORMAL:
         return batch.normals
+    if request.kind == requests.RAISED:
+        to_world = np.array([part.matrix[:3, :3] for part in batch.parts])[:, None]
+        return unit(batch.normals @ to_world) @ to_world.swapaxes(-1, -2)
     if request.kind == requests.FACE_NORMAL:
         return unit(np.matmul(batch.mesh.face_normals[None], batch.normal_matrix))[:, :, None, :]
     if request.kind == requests.TANGENT:

@@ -15,6 +15,7 @@ from ...core.surfaces.textures import TexturePool
 from . import nodes, registry  # noqa: F401  (importing `nodes` fills the registry)
 from .bake import Baker
 from .builder import ONE, ZERO, Constant, Program, TooComplex, run
+from .displacement import displaced_normal
 from .lamps import compile_lamp
 from .requests import BAKED, CompiledMaterials, LampProgram, LampUse, MaterialUse, Shot
 from .tree import Context, Scope
@@ -70,7 +71,9 @@ def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked
     if output is None:
         return program
     try:
-        Scope(context, material.node_tree).shade(output.inputs["Surface"], ONE)
+        scope = Scope(context, material.node_tree)
+        context.normal = displaced_normal(scope, output)
+        scope.shade(output.inputs["Surface"], ONE)
     except registry.Unsupported as reason:
         context.warn(f"{reason}; the material is shown in its viewport colour")
         return _viewport_color(material)
@@ -78,8 +81,6 @@ def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked
         baked_uvs[material.name_full] = baker.uvs()
     if output.inputs["Volume"].is_linked:
         context.warn("its volume is left out")
-    if output.inputs["Displacement"].is_linked:
-        context.warn("its displacement is left out")
     return program
 
 

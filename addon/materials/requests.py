@@ -28,6 +28,7 @@ NORMAL = "normal"  # shading normal in the space of the object
 WORLD_POSITION = "world_position"  # true world position (the scene's origin not taken off)
 WORLD_NORMAL = "world_normal"  # shading normal in world space
 FACE_NORMAL = "face_normal"  # geometric normal in world space
+RAISED = "raised"  # in world space what a step of 1 along the shading normal is in that of the object
 TANGENT = "tangent"  # MikkTSpace tangent of UV map `name` in world space, the sign of the bitangent in w
 OBJECT_LOCATION = "object_location"  # world location of the object's origin
 OBJECT_COLOR = "object_color"  # `Object.color`, RGB and alpha

@@ -45,6 +45,7 @@ class Context:
     fading: of a lamp, where its Light Falloff nodes put down what they are; None where there is no distance to fade by.
     is_lamp: whether it is the tree of a lamp, run for each ray that leaves it.
     shot: what it may ask of the render.
+    normal: the shading normal where the material's displacement bends it, None for the surface's own.
     """
 
     material: bpy.types.Material
@@ -57,6 +58,7 @@ class Context:
     fading: Fading | None = None
     is_lamp: bool = False
     shot: Shot = field(default_factory=Shot)
+    normal: Value | None = None
 
     def warn(self, text: str) -> None:
         """One line for the user, once for each material."""

@@ -24,6 +24,7 @@ from ..scene import (
     bounds,
 )
 from ..surfaces.batch import evaluate_batch
+from ..surfaces.closures import REFLECTED
 from ..surfaces.layout import EMISSION
 from .emission import shares
 from .groups import LightGroups
@@ -179,7 +180,8 @@ def _textured_means(scene: Scene, triangle: np.ndarray, area: np.ndarray, thread
     fold = points.sum(1) > 1
     points[fold] = 1 - points[fold]
     u, v = np.tile(points.T, (1, len(triangle)))
-    sides = np.tile(np.where(np.arange(k) % 2, 0.7, -0.7), len(triangle))
+    view = 0.7 + REFLECTED  # not the camera's, which may see something else
+    sides = np.tile(np.where(np.arange(k) % 2, view, -view), len(triangle))
     g = scene.geometry
     surface = evaluate_batch(scene.materials.tables, g.material, g.attributes, np.repeat(triangle, k), u, v, sides, threads)
     mean = surface[:, EMISSION : EMISSION + 3].reshape(-1, k, 3).astype(np.float64).mean(1)

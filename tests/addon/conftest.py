@@ -185,7 +185,7 @@ def _attribute(request, index, columns, angle, scale):
         values[:, :3] = np.stack([place[0] + CORNERS[:, 0], place[1] + 0.5 + y * c, y * s], 1)
     elif request.kind == rq.GENERATED:
         values[:, :2], values[:, 2] = CORNERS, 0.5
-    elif request.kind in (rq.WORLD_NORMAL, rq.FACE_NORMAL):
+    elif request.kind in (rq.WORLD_NORMAL, rq.FACE_NORMAL, rq.RAISED):  # no plane is scaled across
         values[:, :3] = 0, -s, c
     elif request.kind == rq.NORMAL:
         values[:, :3] = 0, 0, 1

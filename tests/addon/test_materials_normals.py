@@ -163,3 +163,48 @@ def test_linked_but_plain_normal(grid):
 
     grid.add("plain", geometry)
     np.testing.assert_allclose(grid.compare()["plain"].normal, np.tile((0, 0, 1), (64, 1)), atol=1e-6)
+
+
+def _displaced(node, height, normal=None, space="OBJECT", **inputs):
+    """A diffuse surface whose material has a displacement."""
+
+    def build(tree, end):
+        made = node(tree, "ShaderNodeDisplacement", space=space, inputs={"Height": height, "Scale": 0.1, **inputs})
+        shader = node(tree, "ShaderNodeBsdfDiffuse", inputs={} if normal is None else {"Normal": normal})
+        tree.links.new(made.outputs[0], end.inputs["Displacement"])
+        tree.links.new(shader.outputs[0], end.inputs["Surface"])
+
+    return build
+
+
+def test_displacement_bumps(grid, node):
+    """Cycles' Normal pass, as of bumps; a normal map of a shader's own hides them, a bump adds to them."""
+    noise, image = _height(node), _height(node, "ShaderNodeTexImage", "UV", image=_relief())
+    grid.add("noise", _displaced(node, noise))
+    grid.add("image", _displaced(node, image, Midlevel=0.2))
+    grid.add("large", _displaced(node, noise), scale=(3, 3))
+    grid.add("in world space", _displaced(node, noise, space="WORLD"), scale=(0.5, 2), angle=-0.8)
+    grid.add("from behind", _displaced(node, noise), angle=2.6)
+    grid.add("level", _displaced(node, lambda tree: node(tree, "ShaderNodeValue").outputs[0]))
+    grid.add("below a bump", _displaced(node, noise, lambda tree: _socket(tree, node, _bump_node(image), "Normal")))
+    mapped = "ShaderNodeNormalMap", {"Color": _upward}
+    grid.add("below a normal map", _displaced(node, noise, lambda tree: _socket(tree, node, mapped, "Normal")))
+    for name, got in grid.compare().items():
+        found = got.normal if got.cosine > 0 else -got.normal
+        covered = got.passes["Normal"].any(axis=1)
+        assert covered.sum() >= 32, name
+        np.testing.assert_allclose(found[covered], got.passes["Normal"][covered], atol=2e-3 if "map" in name else 2e-4, err_msg=name)
+        assert name == "level" or np.ptp(got.normal[:, :2], axis=0).min() > 0.01, name
+    assert not grid.warnings
+
+
+def test_displacement_that_bumps_do_not_show_is_named(grid, node):
+    def by_vectors(tree, end):
+        made = node(tree, "ShaderNodeVectorDisplacement")
+        tree.links.new(made.outputs[0], end.inputs["Displacement"])
+        tree.links.new(tree.nodes.new("ShaderNodeBsdfDiffuse").outputs[0], end.inputs["Surface"])
+
+    grid.add("vectors", by_vectors)
+    grid.compare()
+    assert not grid.flags[0] & sc.NORMAL_MAPPED
+    assert [line.split(": ")[1] for line in grid.warnings] == ["its displacement by vectors is left out"]

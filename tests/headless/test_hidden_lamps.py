@@ -62,3 +62,22 @@ def test_they_light_nothing_where_nothing_is_glossy():
     without = render(extract_scene(scene, size=SIZE), settings).layers
     for layer in ("Direct", "DiffuseIndirect"):
         np.testing.assert_array_equal(hidden[layer], without[layer])
+
+
+def test_a_shader_that_hides_its_light_from_the_camera_shines_as_an_object_that_it_does_not_see():
+    """Mix(Is Camera Ray; Emission, Transparent), the trick for lights out of sight."""
+    scene, placed = room("MESH", 0.0)
+    settings = RenderSettings(method="instant-radiosity", bounces=1, direct_samples=64)
+    expected = render(extract_scene(scene, size=(24, 14)), settings).layers
+    placed.visible_camera = True
+    tree = placed.data.materials[0].node_tree
+    end = tree.get_output_node("CYCLES").inputs["Surface"]
+    shine, path, mix = end.links[0].from_socket, tree.nodes.new("ShaderNodeLightPath"), tree.nodes.new("ShaderNodeMixShader")
+    tree.links.new(path.outputs["Is Camera Ray"], mix.inputs[0])
+    tree.links.new(shine, mix.inputs[1])
+    tree.links.new(tree.nodes.new("ShaderNodeBsdfTransparent").outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], end)
+    found = render(extract_scene(scene, size=(24, 14)), settings).layers
+    assert not found["Emission"].any()
+    for layer in ("Direct", "DiffuseIndirect"):
+        assert found[layer].mean(dtype=float) == pytest.approx(expected[layer].mean(dtype=float), rel=0.02)

@@ -23,10 +23,13 @@ def _multiple(node: NodeInput) -> int:
 
 
 def _normal(node: NodeInput, key: str = "Normal") -> None:
-    """The shading normal of a linked normal input."""
+    """The shading normal of a linked normal input, else the one that the material's displacement bends."""
     if node.has(key) and node.linked(key):
         corrected = getattr(getattr(node.context.material, "cycles", None), "use_bump_map_correction", True)
         node.emit(ops.NORMAL_MAP, node[key], node.program.attribute(WORLD_NORMAL), p=int(corrected))
+    elif node.has(key) and node.context.normal is not None:
+        # To Cycles it is the surface's own: no bump that it could correct.
+        node.emit(ops.NORMAL_MAP, node.context.normal, node.program.attribute(WORLD_NORMAL), p=0)
 
 
 def _warn_straight(node: NodeInput, what: str) -> None:

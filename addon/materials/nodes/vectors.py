@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import mathutils
 
 from ....core.surfaces import outlined
 from ....core.surfaces import program as ops
 from ..builder import ONE, ZERO, Constant, Table, Value, scalar
 from ..registry import Unsupported, value
-from ..requests import TANGENT, UV, WORLD_NORMAL, WORLD_POSITION
+from ..requests import RAISED, TANGENT, UV, WORLD_NORMAL, WORLD_POSITION
 from ..tree import NodeInput
 
 # Of the largest coordinate (m): some hundred float32 roundings.
 _SHORTEST = 2e-5
+# Barycentric steps to the second and the third corner of a triangle.
+_CORNERS = Constant(1, 0, 0), Constant(0, 1, 0)
 
 
 @value("ShaderNodeMath")
@@ -153,46 +157,68 @@ def normal_map(node: NodeInput, output: str) -> Value:
 
 @value("ShaderNodeBump")
 def bump(node: NodeInput, output: str) -> Value:
-    """Bump: the height is evaluated at the point and a step beside it along two tangents (see `bumps`).
-
-    The step is Cycles': the filter width times the size of a pixel (see `footprint`).
-    """
-    program = node.program
-    with program.displaced(None):
-        surface = node["Normal"] if node.linked("Normal") else program.attribute(WORLD_NORMAL)
+    """Bump: normals bent by a height."""
+    with node.program.displaced(None):
+        surface = node["Normal"] if node.linked("Normal") else node.context.normal or node.program.attribute(WORLD_NORMAL)
         strength = node.math("MAXIMUM", node["Strength"], ZERO)
         if not node.linked("Height") or strength == ZERO:
             return surface
         distance = node["Distance"]
         if node.node.invert:
             distance = node.math("SUBTRACT", ZERO, distance)
+        width = node["Filter Width"] if node.has("Filter Width") else scalar(0.1)
+    try:
+        return bent(node, surface, lambda: node["Height"], strength, distance, width)
+    except Unsupported as reason:
+        node.warn(f"its bump is left out: {reason}")
+        return surface
+
+
+def bent(node: NodeInput, surface: Value, height_here: Callable[[], Value], strength: Value, distance: Value, width: Value) -> Value:
+    """The normal `surface`, bent by a height (m, before `distance`), which is evaluated at the point and a step beside it along two tangents (see `bumps`).
+
+    height_here: computes it where the program is.  The step is Cycles': the filter width times the size of a pixel (see `footprint`).
+
+    Raises:
+        Unsupported: the height cannot be computed.
+    """
+    program = node.program
+    with program.displaced(None):
         # Seen from behind, the height still rises towards the viewer, while all normals are turned round.
         facing = node.math("MULTIPLY_ADD", node.emit(ops.BACKFACING), scalar(-2), ONE)
         position = program.attribute(WORLD_POSITION)
         edges = []
-        for corner in (Constant(1, 0, 0), Constant(0, 1, 0)):
+        for corner in _CORNERS:
             with program.displaced(corner):
                 edges.append(node.vector("SUBTRACT", program.attribute(WORLD_POSITION), position))
-        width = node["Filter Width"] if node.has("Filter Width") else scalar(0.1)
         step = node.math("MULTIPLY", node.emit(ops.FOOTPRINT, position), width)
         # Shorter ones drown in the rounding of positions.
         largest = node.vector("ABSOLUTE", position)
         largest = node.math("MAXIMUM", node.splat(largest, 0), node.math("MAXIMUM", node.splat(largest, 1), node.splat(largest, 2)))
         step = node.math("MAXIMUM", step, node.math("MULTIPLY", largest, scalar(_SHORTEST)))
         steps = node.emit(outlined.BUMP_STEP, *edges, node.pack(step, facing))
-        try:
-            height = node["Height"]
-        except Unsupported as reason:
-            node.warn(f"its bump is left out: {reason}")
+        height = height_here()
+        if isinstance(height, Constant):
             return surface
     rises = []
     for u, v in ((0, 1), (2, 3)):
         with program.displaced(node.pack(node.splat(steps, u), node.splat(steps, v))):
-            rises.append(node.math("SUBTRACT", node["Height"], height))
+            rises.append(node.math("SUBTRACT", height_here(), height))
     gradient = node.emit(outlined.BUMP_GRADIENT, *edges, node.pack(*rises, step, facing))
     gradient = node.multiply(gradient, node.math("MULTIPLY", distance, facing))
     gradient = node.pack(node.splat(gradient, 0), node.splat(gradient, 1), node.splat(gradient, 2), strength)
     return node.emit(outlined.BUMP_NORMAL, surface, gradient, node.vector("CROSS_PRODUCT", *edges))
+
+
+@value("ShaderNodeDisplacement")
+def displacement(node: NodeInput, output: str) -> Value:
+    """Displacement along the normal, as a vector in world space (Cycles: svm_node_displacement)."""
+    program = node.program
+    height = node.math("MULTIPLY", node.math("SUBTRACT", node["Height"], node["Midlevel"]), node["Scale"])
+    with program.displaced(None):
+        along = RAISED if node.node.space == "OBJECT" else WORLD_NORMAL
+        normal = node["Normal"] if node.linked("Normal") else program.attribute(along)
+    return node.multiply(normal, height)
 
 
 @value("ShaderNodeTangent")

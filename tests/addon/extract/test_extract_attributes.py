@@ -233,3 +233,14 @@ def test_normals_in_the_world(stage, kind):
         expected = np.repeat((faces / np.linalg.norm(faces, axis=1, keepdims=True))[:, None], 3, axis=1)
     np.testing.assert_allclose(g.attributes[0][..., :3], expected, atol=1e-4)
     assert (g.attributes[0][..., 3] == 1).all()
+
+
+def test_a_step_along_the_object_s_normal_in_the_world(stage):
+    ob = sheet(stage)
+    ob.scale, ob.rotation_euler = (-1, 2, 0.5), (0.2, 0.3, 0.4)
+    g = assembled(stage, rq.RAISED)[0]
+    matrix = np.array(ob.matrix_world, float)[:3, :3]
+    local = np.linalg.inv(matrix) @ g.attributes[0].reshape(-1, 4)[:, :3].T
+    np.testing.assert_allclose(np.linalg.norm(local, axis=0), 1, atol=1e-5)
+    expected = matrix.T @ g.corner_normals.reshape(-1, 3).T
+    np.testing.assert_allclose(local, expected / np.linalg.norm(expected, axis=0), atol=1e-4)
