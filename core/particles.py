@@ -46,6 +46,7 @@ from .surfaces.layout import (
     GLOSS,
     GLOSSY_F0,
     GLOSSY_F90,
+    REFRACTION,
     ROUGHNESS,
     SHEEN,
     SHEEN_ROUGHNESS,
@@ -213,7 +214,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
     least: of those, what has kept a smaller share of the light that it was born with goes on by chance, with so much.
     sharpest: the most `sharpness` of a light.
 
-    bounces: diffuse reflections of a path at most, that of its first surface counted even if it is glossy.
+    bounces: diffuse reflections of a path at most, that of its first surface counted even if it is glossy, and one for glass before it.
 
     Writes VPLs (their flux still times the number of particles); returns their number, the rays traced, the sum and count of the
     albedos met (for rho), and the sum of the shares of their light that VPLs have kept.
@@ -232,7 +233,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
     square = np.empty(WIDTH, np.float32)
     flown = np.empty(WIDTH, np.float32)
     flying = np.empty(WIDTH, np.bool_)
-    scattered = np.empty(WIDTH, np.int32)  # diffuse reflections so far, and one for the first surface in any case
+    scattered = np.empty(WIDTH, np.int32)  # diffuse reflections so far, and one for the first surface in any case, and for glass before it
     lobe = np.zeros(LOBE, np.float32)
     entered = np.empty(WIDTH, np.int64)
     owed = np.empty((WIDTH, _NESTED), np.float32)
@@ -335,6 +336,10 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                             flux[lane, 2] *= tb / chance
                             through = True
                             if flags & REFRACTIVE:
+                                if bounce == 0 and scattered[lane] == 0:
+                                    bent = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
+                                    whole = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
+                                    scattered[lane] = uniform(seed, i, bounce, 16 + 2 * _MAX_PASSED + passed) * whole < bent
                                 if not behind:
                                     evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
                                     within = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]

@@ -49,6 +49,7 @@ class Probes(NamedTuple):
     direct: (N, 3 G) float32, pi times the radiance towards the path by direct light, one sample (W/m^2), by light groups.
     shine: (N, 3 G) float32, the part of it that a glossy lobe has reflected, spread as by a diffuse one.
     beneath: (N, 3 G) float32, the part of it that comes from below the facet of a smooth surface, or nearly along it: no particle has it.
+    glass: (N, 3 G) float32, the part of it that came by way of glass.
     carry: (N, 3) float32, the same for each unit that the linked surface sends.
     albedo: (N, 3) float32, what it reflects of any irradiance by its diffuse lobe, of the first probe of each path.  error: (N,) float32, rounding error of the position (m).
     link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
@@ -61,6 +62,7 @@ class Probes(NamedTuple):
     direct: np.ndarray
     shine: np.ndarray
     beneath: np.ndarray
+    glass: np.ndarray
     carry: np.ndarray
     albedo: np.ndarray
     link_position: np.ndarray
@@ -80,7 +82,7 @@ class Probes(NamedTuple):
     @staticmethod
     def allocate(n: int, light_groups: int = 1) -> Probes:
         """Room for n probes, none of them valid."""
-        rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, *[3 * light_groups] * 3, 3, 3, 3, 3)]
+        rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, *[3 * light_groups] * 4, 3, 3, 3, 3)]
         sides, lengths = ([np.zeros(n, kind) for _ in range(2)] for kind in (np.int32, np.float32))
         return Probes(*rows, np.zeros(n, np.uint8), *sides, *lengths, np.zeros(n, np.uint8))
 
@@ -345,6 +347,18 @@ def _solve(
         smooth(direct_of[h], number_of[h], unit, parent, order, half_likeness)
         for part, _ in parts_of:
             smooth(part[h], number_of[h], unit, parent, order, half_likeness)
+    # Glass is a surface to Cycles, where the last bounce ends: what came by way of it takes one bounce more.
+    behind = probes.glass[knows] if probes.glass.any() else None
+    soonest, clear = direct, _1
+    if behind is not None:
+        behind_of = summed(weight[:, None] * behind)
+        soonest = behind_of.sum(axis=0)
+        smooth(soonest, number, unit, parent, order, likeness)
+        np.maximum(direct - soonest, _0, out=soonest)
+        if row == 0:
+            for h in range(2):
+                smooth(behind_of[h], number_of[h], unit, parent, order, half_likeness)
+            clear = np.divide(np.maximum(direct_of - behind_of, _0), direct_of, out=np.ones_like(direct_of), where=direct_of > 0)
     sending = link_cell[knows] >= 0
     link, sends = link_cell[knows[sending]], np.cumsum(sending) - 1
     carry = weight[sending, None] * probes.carry[knows[sending]]
@@ -352,9 +366,9 @@ def _solve(
     places = np.ascontiguousarray(places[:, sending])
     parts = [(np.ascontiguousarray(places[:, half[sending] == h]), sends[sending & (half == h)]) for h in range(2)]
     looked = knows[(knows % DEPTH == 0) & (probes.distance[knows] > near) & (link_cell[knows] != -1) & (seen_cell[knows] >= 0)]
-    looked_up = (
-        probes.direct[looked].sum(axis=1), seen_cell[looked], probes.carry[looked], link_cell[looked], probes.link[looked] == GLOSSY_LINK,
-    )  # fmt: skip
+    sent = probes.direct[looked].sum(axis=1)
+    sent_soonest = sent if behind is None else sent - probes.glass[looked].sum(axis=1)
+    looked_up = seen_cell[looked], probes.carry[looked], link_cell[looked], probes.link[looked] == GLOSSY_LINK
     trust = np.float32(BALANCE / max(1, len(probes.valid) // DEPTH))
     likeness[:] = PRIOR
     sums, scale = np.zeros((count, 2), np.float32), np.ones((count, 1), np.float32)
@@ -380,16 +394,17 @@ def _solve(
             total = np.zeros_like(direct)
             add_to_cells(places, carried, total, threads)
         smooth(total, linked, unit, parent, order, likeness)
-        np.add(direct, total, out=radiosity[bounce])
-        _balance(*looked_up, root, trust, bounce, radiosity, sums, scale)
+        np.add(direct if bounce else soonest, total, out=radiosity[bounce])
+        _balance(sent if bounce else sent_soonest, *looked_up, root, trust, bounce, radiosity, sums, scale)
         if gathered:
             for h in range(2):
                 smooth(halves[h], linked_of[h], unit, parent, order, _HALF * likeness)
-            halves += direct_of
-            halves *= scale
-            shine *= scale
-            beneath *= scale
-            first_of[:] = direct_of * scale
+            first_of[:] = direct_of * clear
+            halves += first_of
+            for part in (halves, first_of):
+                part *= scale
+            for part in (shine, beneath):
+                part *= clear * scale
     return number_of, order, unit
 
 

@@ -63,15 +63,16 @@ DIMENSIONS = 100
 @leaf
 def scatter_light(
     scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, lamp_rays, diffuse, seed, path, at,
-    out, shine, beneath, i, kr, kg, kb, sheen, aside,
+    out, shine, beneath, glass, apart, i, kr, kg, kb, sheen, aside,
 ):  # fmt: skip
     """What a surface sends towards w at first hand, and a ray that finds the rest.
 
     on: its triangle.  (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
-    overwritten.  lobe: (LOBE,) float32, scratch.  entered: solids of glass that the surface lies in, to its view.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn.  at: first dimension.
+    overwritten.  lobe: (LOBE,) float32, scratch.  entered: solids of glass that the surface lies in, to its view.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn, and light by way of glass counts.  at: first dimension.
     out, shine, beneath: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, of what
     comes through, and of a `WIDE` glossy lobe, to that of `out`, of another glossy one, times `sheen`, to that of `shine`.
     What comes from below the facet, where no particle lands, or nearly along it, where their weight is bounded, goes to `beneath`, times `aside`.
+    glass: (N, 3 G) float32, where `apart`: the part of all that which came by way of glass.
 
     Returns (dx, dy, dz, wr, wg, wb, kinds): the ray's direction, its weight and its kind, 0 where there is none.
     """
@@ -91,7 +92,7 @@ def scatter_light(
     for k in range(2 * lamp_rays if tr + tg + tb > _0 else lamp_rays):
         if k == lamp_rays:
             side = -_1
-        r, g, b, cosine, e, across = direct_sample_at(
+        r, g, b, cosine, e, across, clear = direct_sample_at(
             scene, packet, rows, surface, on, shiny, x, y, z, error, side * gx, side * gy, side * gz, side * sx, side * sy, side * sz, entered, seed, path, at + 20 + k
         )  # fmt: skip
         if e < 0:
@@ -99,7 +100,9 @@ def scatter_light(
         if across <= _0 and tilt > _0:
             continue
         c = 3 * scene.emitters.light_group[e]
-        r, g, b = kr * share * r, kg * share * g, kb * share * b
+        # Glass is a surface to Cycles, where the last bounce ends: what comes through it has one less.
+        counted = share if diffuse else share * clear
+        r, g, b = kr * counted * r, kg * counted * g, kb * counted * b
         lit = shadowing(tilt, across)
         if scene.emitters.flags[e] & GLOSSY_ONLY:
             lit = _0
@@ -125,6 +128,10 @@ def scatter_light(
                 shine[i, c] += sheen * fr
                 shine[i, c + 1] += sheen * fg
                 shine[i, c + 2] += sheen * fb
+                if apart and clear < _1:
+                    glass[i, c] += (_1 - clear) * sheen * fr
+                    glass[i, c + 1] += (_1 - clear) * sheen * fg
+                    glass[i, c + 2] += (_1 - clear) * sheen * fb
             else:
                 r, g, b = r + fr, g + fg, b + fb
         landing = min(_1, MAX_ADJOINT * max(_0, across) / max(cosine, np.float32(1e-4)))
@@ -136,6 +143,11 @@ def scatter_light(
             beneath[i, c] += rest * r
             beneath[i, c + 1] += rest * g
             beneath[i, c + 2] += rest * b
+        if apart and clear < _1:
+            behind = (_1 - clear) * (landing + aside * (_1 - landing))
+            glass[i, c] += behind * r
+            glass[i, c + 1] += behind * g
+            glass[i, c + 2] += behind * b
     set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
     glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
     dull = _THIRD * (dr + dg + db) if diffuse else _0
@@ -230,7 +242,7 @@ def path_light(
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1
         dx, dy, dz, tr, tg, tb, kinds = scatter_light(
             scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, 1, left > 0, seed, path, at,
-            out, out, out, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
+            out, out, out, out, False, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
         )  # fmt: skip
         if kinds == 0:
             break

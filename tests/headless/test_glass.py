@@ -282,3 +282,56 @@ def test_a_bulb_of_glass_lets_light_through():
     direct, indirect = floor_light(lens(0.8, 0.78, lamp_height=1))
     assert direct == 0
     assert 0.9 * open_ < indirect < 0.93 * open_
+
+
+# -- bounces of light that passes glass ----------------------------------------------------------------------
+
+
+def lit_by_a_window(pane):
+    """A closed white room, lit by the world through a window in its ceiling that holds a slab of glass, a film that refracts nothing, or a veil."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    white = material("White", Base_Color=(0.75, 0.75, 0.75, 1), Specular_IOR_Level=0.0)
+    corners = [(x, y, z) for x in (-2, 2) for y in (-2, 2) for z in (0, 2.6)]
+    for face in [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4)]:
+        quad(scene, [corners[k] for k in face], white)
+    for a, b, c, d in ((-2, 2, -2, -1), (-2, 2, 1, 2), (-2, -1, -1, 1), (1, 2, -1, 1)):
+        quad(scene, [(a, c, 2.6), (b, c, 2.6), (b, d, 2.6), (a, d, 2.6)], white)
+    if pane == "slab":
+        slab(scene, -1, 1, -1, 1, 2.59, 2.61, shader("Glass", "ShaderNodeBsdfGlass", Roughness=0.0, IOR=1.45))
+    else:
+        kind, inputs = ("Refraction", {"IOR": 1.0}) if pane == "film" else ("Transparent", {})
+        quad(scene, [(-1, -1, 2.6), (1, -1, 2.6), (1, 1, 2.6), (-1, 1, 2.6)], shader("Pane", f"ShaderNodeBsdf{kind}", **inputs))
+    world = scene.world = bpy.data.worlds.new("World")
+    if world.node_tree is None:  # Blender 4.5
+        world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.5, 0.7, 1, 1)
+    look(scene, (-1.7, -1.7, 1.3), (math.radians(70), 0, math.radians(-45)), lens=24.0)
+    return scene
+
+
+@pytest.mark.parametrize("bounces", [1, 3])
+def test_glass_takes_a_bounce_of_the_light_that_it_lets_in(bounces):
+    """A path of Cycles ends at the first surface after its last bounce, be that a window pane."""
+    scene = lit_by_a_window("slab")
+    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "window": bounces}
+    halves = cached_halves(scene, identity, size=(32, 18), spp=256, bounces=bounces, seed=1)
+    arrays = extract_scene(scene, size=(32, 18))
+    ours = [render(arrays, RenderSettings(seed=seed, bounces=bounces)).layers for seed in range(SEEDS)]
+    expected, mine = ([layers["DiffuseIndirect"].mean(dtype=float) for layers in some] for some in (halves, ours))
+    noise = abs(expected[0] - expected[1]) / 2 + np.std(mine, ddof=1) / math.sqrt(SEEDS)
+    assert noise < 0.02 * np.mean(expected)
+    assert np.mean(mine) == pytest.approx(np.mean(expected), rel=0.02, abs=2 * noise)
+
+
+@pytest.mark.parametrize("method", ["importance-sampling", "instant-radiosity"])
+def test_light_through_glass_has_a_bounce_less(method):
+    """What a film that only books light otherwise lets in is what comes in without it, one bounce later."""
+    settings = {"method": method, "denoise": False, "direct_samples": 32, "gather": 32}
+    film, free = (extract_scene(lit_by_a_window(pane), size=(32, 18)) for pane in ("film", "veil"))
+    for bounces in (1, 2):
+        through = render(film, RenderSettings(bounces=bounces, **settings)).layers
+        without = render(free, RenderSettings(bounces=bounces - 1, **settings)).layers
+        expected = (without["Direct"] + without["Indirect"]).mean(dtype=float)
+        assert not through["Direct"].any()
+        assert through["DiffuseIndirect"].mean(dtype=float) == pytest.approx(expected, rel=0.02)
