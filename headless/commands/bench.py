@@ -16,6 +16,7 @@ from ..bench_steps import run_steps
 from ..bench_suites import STEPS
 from ..console import Terminal
 from ..curves_bench import METRICS, OPPOSITE, curves_summary
+from ..peers.suite import peers_summary
 from ..results import write_json
 
 PACKAGES = ("bpy", "numpy", "numba", "llvmlite", "scipy", "embreex", "OpenImageIO")
@@ -29,6 +30,7 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     with terminal.progress() as progress:
         rows = run_steps(steps, folder, identity, progress, terminal.say)
     rows += curves_summary(folder, rows)
+    peers_summary(folder, rows)
     results = {"machine": identity["machine"], "versions": identity["versions"], "rows": rows}
     write_json(folder / "results.json", results)
     write_report(folder, arguments.suite, results)
@@ -66,7 +68,7 @@ def _verdicts(suite: str, rows: list[dict]) -> Table:
 def _case(row: dict) -> tuple[str, ...]:
     """Cells of a row with a value; what is more or less than the value's figure makes the ratio less or more."""
     bound = row.get("bound", "")
-    bounds = {"value": bound, "peer_value": "", "ratio": OPPOSITE.get(bound, bound)}
+    bounds = {"value": bound, "peer_value": row.get("peer_bound", ""), "ratio": row.get("ratio_bound", OPPOSITE.get(bound, bound))}
     value, peer, ratio = (f"{bounds[name]} {_figure(row[name])}".strip() if name in row else "" for name in bounds)
     return escape(row["case"]), value, row["unit"], peer, ratio
 

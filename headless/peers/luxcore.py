@@ -13,18 +13,14 @@ from ...core.errors import SceneError
 from ...core.layers import Layers
 from ...core.scene import ELLIPSE, POINT, SPOT, SUN, Lamps
 from ...core.threads import thread_count
-from ..console import quiet
-from ..contestants import Timed
 from .neutral import Neutral, Sheet, back_of
 
 NAME = "luxcore"
-# For each sample a pixel: of LuxCore's own 2 million a picture takes 20 s before its first sample.
+HINT = ""
+# Kept for each sample a pixel: LuxCore's own way traces 2 million at once, 20 s before the first sample of a picture.
 PHOTONS = 20_000
 _OUTPUTS = {
     "Combined": "RGB",
-    "Emission": "EMISSION",
-    "Direct": "DIRECT_DIFFUSE",
-    "DiffuseIndirect": "INDIRECT_DIFFUSE",
     "Albedo": "ALBEDO",
     "Normal": "AVG_SHADING_NORMAL",
     "Position": "POSITION",
@@ -43,25 +39,27 @@ def start() -> ModuleType:
     if importlib.util.find_spec("pyluxcore") is None:
         raise SceneError("LuxCore is not installed; pip install pyluxcore")
     try:
-        with quiet():
-            import pyluxcore
+        import pyluxcore
 
-            pyluxcore.Init()
+        pyluxcore.Init()
     except (ImportError, OSError, RuntimeError) as error:
         raise SceneError(f"LuxCore cannot run: {str(error).strip().splitlines()[0]}") from error
     return pyluxcore
 
 
-def version() -> str:
+def version(neutral: Neutral | None = None) -> str:
     """Of LuxCore."""
     return start().Version()
 
 
-def render(lux: ModuleType, neutral: Neutral, cached: bool, spp: int, bounces: int, seed: int) -> Timed:
-    """Layers of the neutral scene; the seconds are those of everything from the arrays to the film.
+def render(neutral: Neutral, cached: bool, spp: int, bounces: int, seed: int) -> tuple[Layers, float, float]:
+    """Layers of the neutral scene, all light in `Direct`; the seconds from the arrays to the film; and those of the guides, which cost nothing.
+
+    LuxCore's own layers are no help: to them light that a path meets by chance is indirect, and emission is no mean over a pixel.
 
     cached: with PhotonGI's indirect cache, at LuxCore's own settings but for the photons' bounces and their number (see `PHOTONS`).
     """
+    lux = start()
     begin = perf_counter()
     session = lux.RenderSession(lux.RenderConfig(_properties(lux, _settings(neutral, cached, spp, bounces, seed)), load(lux, neutral)))
     session.Start()
@@ -72,9 +70,14 @@ def render(lux: ModuleType, neutral: Neutral, cached: bool, spp: int, bounces: i
     film = session.GetFilm()
     arrays = {name: _output(lux, film, output) for name, output in _OUTPUTS.items()}
     seconds = perf_counter() - begin
-    layers = Layers(arrays)
-    layers["Indirect"], layers["GlossyIndirect"] = layers["DiffuseIndirect"], np.zeros_like(layers["Direct"])
-    return Timed(seconds, layers)
+    nothing = np.zeros_like(arrays["Combined"])
+    nowhere = dict.fromkeys(("DiffuseIndirect", "GlossyIndirect", "Indirect", "Emission"), nothing)
+    return Layers({**arrays, "Direct": arrays["Combined"], **nowhere}), seconds, 0.0
+
+
+def direct(neutral: Neutral, spp: int, seed: int) -> np.ndarray:
+    """(H, W, 3) direct light, and emission where it is seen."""
+    return render(neutral, False, spp, 0, seed)[0]["Combined"]
 
 
 def _properties(lux: ModuleType, values: dict):
@@ -87,7 +90,7 @@ def _properties(lux: ModuleType, values: dict):
 def _settings(neutral: Neutral, cached: bool, spp: int, bounces: int, seed: int) -> dict:
     outputs = {f"film.outputs.{k}.type": output for k, output in enumerate(_OUTPUTS.values())}
     outputs |= {f"film.outputs.{k}.filename": f"{output}.exr" for k, output in enumerate(_OUTPUTS.values())}
-    depth = bounces + 1
+    depth = bounces + 2
     return {
         "renderengine.type": "PATHCPU",
         "renderengine.seed": seed + 1,
@@ -105,7 +108,7 @@ def _settings(neutral: Neutral, cached: bool, spp: int, bounces: int, seed: int)
         "path.pathdepth.specular": depth,
         "path.photongi.indirect.enabled": cached,
         "path.photongi.photon.maxdepth": bounces,
-        "path.photongi.photon.maxcount": PHOTONS * spp,
+        "path.photongi.indirect.maxsize": PHOTONS * spp,
         **outputs,
     }
 
@@ -135,6 +138,8 @@ def load(lux: ModuleType, neutral: Neutral):
 
 def _camera(neutral: Neutral) -> dict:
     camera = neutral.camera
+    left, right, bottom, top = camera.window
+    row = (top - bottom) / camera.height  # LuxCore's rows lie one higher than those of the window
     position, ahead, up = camera.matrix[:3, 3], -camera.matrix[:3, 2], camera.matrix[:3, 1]
     return {
         "scene.camera.type": "perspective",
@@ -142,7 +147,7 @@ def _camera(neutral: Neutral) -> dict:
         "scene.camera.lookat.target": (position + ahead).tolist(),
         "scene.camera.up": up.tolist(),
         "scene.camera.fieldofview": 90.0,  # at which the window counts in units of the distance
-        "scene.camera.screenwindow": list(map(float, camera.window)),
+        "scene.camera.screenwindow": [left, right, bottom - row, top - row],
         "scene.camera.autofocus.enable": False,
         "scene.camera.lensradius": 0.0,
         "scene.camera.cliphither": float(camera.near),
@@ -204,7 +209,7 @@ def _lamp(scene, lamps: Lamps, number: int) -> dict:
 
 def _area(scene, lamps: Lamps, number: int) -> dict:
     """An area lamp is a black sheet that shines on its front."""
-    x, y, z = lamps.axes[number]
+    x, y = lamps.axes[number, :2]
     if lamps.shape[number] == ELLIPSE:
         angle = np.arange(_ELLIPSE_CORNERS) * (2 * np.pi / _ELLIPSE_CORNERS)
         # Of the ellipse's own area.
@@ -233,4 +238,9 @@ def _world(scene, radiance: np.ndarray) -> dict:
     height, width = radiance.shape[:2]
     scene.DefineImageMap("world", np.ascontiguousarray(radiance), 1.0, 3, width, height)
     turned = np.diag([1.0, 1, 1, 1])
-    return {f"{start}.type": "infinite", f"{start}.file": "world", f"{start}.gamma": 1.0, f"{start}.transformation": turned.T.ravel().tolist()}
+    return {
+        f"{start}.type": "infinite",
+        f"{start}.file": "world",
+        f"{start}.gamma": 1.0,
+        f"{start}.transformation": turned.T.ravel().tolist(),
+    }

@@ -4,13 +4,13 @@ Direct and indirect light are told apart by the difference of renders of one see
 as both go, so that the difference is exactly the light of the longer paths.  Only the longest render counts as time.  This needs a variant that
 traces all samples of a picture at once, each with random numbers of its own (`llvm_ad_rgb`).
 
-Where surfaces are cut out, the integrator is `volpath`: to the shadow rays of `path` a mask is opaque.
+To the shadow rays of the integrator `path` a cut-out is opaque; `volpath`, which lets them through, takes twice the time.
 """
 
 from __future__ import annotations
 
 import importlib.util
-import os
+from functools import cache
 from time import perf_counter
 from types import ModuleType
 
@@ -20,15 +20,16 @@ from ...core.errors import SceneError
 from ...core.layers import Layers
 from ...core.scene import ELLIPSE, POINT, SPOT, SUN, Lamps
 from ...core.threads import thread_count
-from ..contestants import Timed
 from .neutral import Neutral, Sheet, Surface, back_of
 
 NAME = "mitsuba"
 VARIANT = "llvm_ad_rgb"
+HINT = "; Mitsuba needs an LLVM library of version 19, which DRJIT_LIBLLVM_PATH may name"
 # From Mitsuba's environment (y up; the middle of the map along -z) to Blender's (z up; the middle along +x).
 _WORLD = np.array([[0.0, 0, -1, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
+@cache
 def start(variant: str = VARIANT) -> ModuleType:
     """The module `mitsuba`, set to the variant, with as many threads as everyone has.
 
@@ -43,13 +44,12 @@ def start(variant: str = VARIANT) -> ModuleType:
 
         mitsuba.set_variant(variant)
     except (ImportError, RuntimeError) as error:
-        reason = str(error).strip().splitlines()[0]
-        raise SceneError(f"Mitsuba cannot run: {reason} (an LLVM library of version 16 or newer may be named by DRJIT_LIBLLVM_PATH)") from error
+        raise SceneError(f"Mitsuba cannot run: {str(error).strip().splitlines()[0]}{HINT}") from error
     drjit.set_thread_count(thread_count())
     return mitsuba
 
 
-def version() -> str:
+def version(neutral: Neutral | None = None) -> str:
     """Of Mitsuba, with its variant."""
     return f"{start().__version__} {VARIANT}"
 
@@ -69,12 +69,13 @@ def load(mi: ModuleType, neutral: Neutral):
     return mi.load_dict(parts)
 
 
-def render(mi: ModuleType, neutral: Neutral, kind: str, spp: int, bounces: int, seed: int) -> tuple[Timed, float]:
+def render(neutral: Neutral, kind: str, spp: int, bounces: int, seed: int) -> tuple[Layers, float, float]:
     """Layers of the neutral scene by the integrator `kind`, with guides for a denoiser.
 
-    Returns the seconds of loading the scene and of the render with all bounces, and besides those of the guides: in one render with them the
-    path tracer takes twice the time.
+    Also the seconds of loading the scene and of the render with all bounces, and those of the guides: in one render with them the path tracer
+    takes twice the time.
     """
+    mi = start()
     begin = perf_counter()
     scene = load(mi, neutral)
     light = _render(mi, scene, {"type": kind, "max_depth": bounces + 2}, spp, seed)
@@ -86,7 +87,15 @@ def render(mi: ModuleType, neutral: Neutral, kind: str, spp: int, bounces: int, 
     layers["Indirect"], layers["GlossyIndirect"] = layers["DiffuseIndirect"], np.zeros_like(light)
     for number, name in enumerate(("Albedo", "Normal", "Position")):
         layers[name] = guides[..., 3 * number : 3 * number + 3]
-    return Timed(rendered - begin, layers), guided - rendered
+    return layers, rendered - begin, guided - rendered
+
+
+def direct(neutral: Neutral, kind: str, spp: int, seed: int) -> np.ndarray:
+    """(H, W, 3) direct light."""
+    mi = start()
+    scene = load(mi, neutral)
+    light, emission = (_render(mi, scene, {"type": kind, "max_depth": depth}, spp, seed) for depth in (2, 1))
+    return light - emission
 
 
 def _render(mi: ModuleType, scene, integrator: dict, spp: int, seed: int) -> np.ndarray:

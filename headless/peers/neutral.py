@@ -177,7 +177,14 @@ def _lamps(lamps: Lamps, notes: dict[str, None]) -> Lamps:
     # Radiance on the axis stays: a lamp without its softbox only sends more light to the side.
     angle = np.where(area, np.float32(np.pi), np.where(lamps.kind == SPOT, lamps.angle, 0)).astype(np.float32)
     zeros = np.zeros(len(lamps), np.float32)
-    return replace(lamps, radius=zeros, soft_falloff=zeros.astype(np.uint8), blend=zeros, angle=angle, visibility=np.full(len(lamps), ALL_RAYS, np.uint8))
+    return replace(
+        lamps,
+        radius=zeros,
+        soft_falloff=zeros.astype(np.uint8),
+        blend=zeros,
+        angle=angle,
+        visibility=np.full(len(lamps), ALL_RAYS, np.uint8),
+    )
 
 
 def _sheet(scene: Scene, number: int, notes: dict[str, None]) -> Sheet:
