@@ -196,7 +196,8 @@ def _lamp(scene, lamps: Lamps, number: int) -> dict:
     if kind == SUN:
         return values | {f"{start}.type": "sharpdistant", f"{start}.direction": (-axes[2]).tolist()}
     if kind == POINT:
-        return values | {f"{start}.type": "point", f"{start}.position": position.tolist()}
+        power = 4 * np.pi * gain  # of a point, LuxCore asks for all of it
+        return values | {f"{start}.type": "point", f"{start}.position": position.tolist(), f"{start}.gain": power.tolist()}
     half = float(np.degrees(0.5 * lamps.angle[number]))
     return values | {
         f"{start}.type": "spot",
@@ -236,11 +237,6 @@ def _world(scene, radiance: np.ndarray) -> dict:
     if radiance.ndim == 1:
         return {f"{start}.type": "constantinfinite", f"{start}.color": [1.0, 1.0, 1.0], f"{start}.gain": radiance.tolist()}
     height, width = radiance.shape[:2]
-    scene.DefineImageMap("world", np.ascontiguousarray(radiance), 1.0, 3, width, height)
-    turned = np.diag([1.0, 1, 1, 1])
-    return {
-        f"{start}.type": "infinite",
-        f"{start}.file": "world",
-        f"{start}.gamma": 1.0,
-        f"{start}.transformation": turned.T.ravel().tolist(),
-    }
+    mirrored = np.roll(radiance[:, ::-1], width // 2, axis=1)  # LuxCore's azimuth runs the other way, from -x
+    scene.DefineImageMap("world", np.ascontiguousarray(mirrored), 1.0, 3, width, height)
+    return {f"{start}.type": "infinite", f"{start}.file": "world", f"{start}.gamma": 1.0}

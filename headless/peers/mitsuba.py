@@ -25,12 +25,12 @@ from .neutral import Neutral, Sheet, Surface, back_of
 NAME = "mitsuba"
 VARIANT = "llvm_ad_rgb"
 HINT = "; Mitsuba needs an LLVM library of version 19, which DRJIT_LIBLLVM_PATH may name"
-# From Mitsuba's environment (y up; the middle of the map along -z) to Blender's (z up; the middle along +x).
-_WORLD = np.array([[0.0, 0, -1, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+# From Mitsuba's environment (y up; the middle of the map along +z) to Blender's (z up; the middle along +x).
+_WORLD = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 @cache
-def start(variant: str = VARIANT) -> ModuleType:
+def start() -> ModuleType:
     """The module `mitsuba`, set to the variant, with as many threads as everyone has.
 
     Raises:
@@ -42,7 +42,7 @@ def start(variant: str = VARIANT) -> ModuleType:
         import drjit
         import mitsuba
 
-        mitsuba.set_variant(variant)
+        mitsuba.set_variant(VARIANT)
     except (ImportError, RuntimeError) as error:
         raise SceneError(f"Mitsuba cannot run: {str(error).strip().splitlines()[0]}{HINT}") from error
     drjit.set_thread_count(thread_count())
@@ -112,8 +112,8 @@ def _sensor(mi: ModuleType, neutral: Neutral) -> dict:
         "to_world": mi.ScalarTransform4f(turned.tolist()),
         "fov_axis": "x",
         "fov": float(np.degrees(2 * np.arctan(0.5 * (right - left)))),
-        "principal_point_offset_x": -0.5 * (left + right) / (right - left),
-        "principal_point_offset_y": 0.5 * (bottom + top) / (top - bottom),
+        "principal_point_offset_x": 0.5 * (left + right) / (right - left),
+        "principal_point_offset_y": -0.5 * (bottom + top) / (top - bottom),
         "near_clip": float(camera.near),
         "far_clip": float(camera.far),
         "film": {

@@ -32,6 +32,7 @@ SAMPLES = 4096  # places of a material at which its colours are averaged and its
 LARGEST_IMAGE, PROCEDURAL_IMAGE = 1024, 256  # texels a side
 IMAGE_ERROR = 0.03  # mean difference of an image to the material, above which the colour is no function of the UV map
 _ROWS = 64  # of an image evaluated at once
+_SEEN = 0.01  # opacity, below which a texel has no colour of its own
 # Of the scene's extent: how far the back of a sheet that shines on both sides lies behind its front.
 _THICKNESS = 1e-5
 # Relative to the mean: what varies less is constant.
@@ -206,9 +207,10 @@ def _sheet(scene: Scene, number: int, notes: dict[str, None]) -> Sheet:
         uv = geometry.attributes[slots[0], mine, :, :2]
         albedo, opacity = _image(tables, number, geometry.attributes.shape[0], slots[0])
         there = np.einsum("nk,nkc->nc", np.stack([1 - u - v, u, v], 1), geometry.attributes[slots[0], triangle, :, :2])
+        albedo = np.where(opacity[..., None] > _SEEN, albedo, constant[0])
         wanted = _colors(truth)
-        error = max(np.abs(_looked_up(image, there) - value).mean() for image, value in ((albedo, wanted[0]), (opacity, wanted[1])))
-        if error <= IMAGE_ERROR:
+        colour_error = np.abs(_looked_up(albedo, there) - wanted[0]) * wanted[1][:, None]
+        if max(colour_error.mean(), np.abs(_looked_up(opacity, there) - wanted[1]).mean()) <= IMAGE_ERROR:
             surface = Surface(name, _simplified(albedo, constant[0]), _simplified(opacity, constant[1]), surface.emission)
     if varies and not surface.is_textured:
         notes[f"the colour of material '{name}' is its mean"] = None
@@ -218,7 +220,7 @@ def _sheet(scene: Scene, number: int, notes: dict[str, None]) -> Sheet:
 def _simplified(image: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """An image that varies, in 8 bits; else the mean."""
     image = np.round(image * 255) / np.float32(255)
-    return image.astype(np.float32) if np.ptp(image, (0, 1)).max() > 0 else mean
+    return image.astype(np.float32) if np.ptp(image, (0, 1)).max() > 1.5 / 255 else mean
 
 
 def _places(triangles: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
