@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import platform
 from argparse import Namespace
-from importlib.metadata import version
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 
 from rich.markup import escape
 from rich.table import Table
@@ -20,6 +21,7 @@ from ..peers.suite import peers_summary
 from ..results import write_json
 
 PACKAGES = ("bpy", "numpy", "numba", "llvmlite", "scipy", "embreex", "OpenImageIO")
+PEER_PACKAGES = ("mitsuba", "pyluxcore")  # noted where they are
 
 
 def run(arguments: Namespace, terminal: Terminal) -> None:
@@ -83,8 +85,12 @@ def machine() -> dict:
 
 
 def versions() -> dict:
-    """Versions of this package, Python and what the kernels stand on."""
-    return {"lumigate": __version__, "python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+    """Versions of this package, Python, what the kernels stand on, and the other renderers that are installed."""
+    found = {"lumigate": __version__, "python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+    for name in PEER_PACKAGES:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def _processor() -> str:
