@@ -1,4 +1,4 @@
-"""Whether a peer shows the same scene: its direct light beside ours."""
+"""Whether a renderer shows the same scene: its direct light beside that of the reference."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FLOOR = 0.1  # of the mean, added where a block is dark
 
 @dataclass(frozen=True)
 class Check:
-    """mean: of the peer's direct light, over ours.  worst: largest relative difference of a block.  allowed: what noise and tolerance allow."""
+    """mean: of a renderer's direct light, over the reference's.  worst: largest relative difference of a block.  allowed: what noise and tolerance allow."""
 
     mean: float
     worst: float
@@ -27,13 +27,14 @@ class Check:
         return abs(self.mean - 1) <= TOLERANCE and self.worst <= self.allowed
 
 
-def same_light(ours: np.ndarray, peer: tuple[np.ndarray, np.ndarray], shown: np.ndarray) -> Check:
-    """Compare direct light, ours (H, W, 3) and two independent pictures of the peer, in the pixels `shown` (H, W) bool."""
-    mean = 0.5 * (peer[0] + peer[1])
-    light, theirs, noise = (_blocks(picture, shown) for picture in (ours, mean, 0.5 * (peer[0] - peer[1])))
+def same_light(reference: tuple[np.ndarray, np.ndarray], peer: tuple[np.ndarray, np.ndarray], shown: np.ndarray) -> Check:
+    """Compare direct light, two independent pictures (H, W, 3) of the reference and of a renderer, in the pixels `shown` (H, W) bool."""
+    light, theirs = (_blocks(0.5 * (pair[0] + pair[1]), shown) for pair in (reference, peer))
     scale = light + _FLOOR * light.mean()
-    allowed = BLOCK_TOLERANCE + _NOISE * float(np.sqrt(np.mean((noise / scale) ** 2)))
-    return Check(float(mean[shown].mean() / ours[shown].mean()), float(np.abs((theirs - light) / scale).max()), allowed)
+    noise = [_blocks(0.5 * (pair[0] - pair[1]), shown) / scale for pair in (reference, peer)]
+    allowed = BLOCK_TOLERANCE + _NOISE * float(np.sqrt(np.mean(np.square(noise).sum(0))))
+    mean = sum(picture[shown].mean() for picture in peer) / sum(picture[shown].mean() for picture in reference)
+    return Check(float(mean), float(np.abs((theirs - light) / scale).max()), allowed)
 
 
 def _blocks(picture: np.ndarray, shown: np.ndarray) -> np.ndarray:

@@ -48,7 +48,7 @@ def start() -> ModuleType:
 
 
 def version(neutral: Neutral | None = None) -> str:
-    """Of LuxCore."""
+    """Of LuxCore; it takes a scene as all that a `Worker` calls."""
     return start().Version()
 
 

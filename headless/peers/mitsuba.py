@@ -50,7 +50,7 @@ def start() -> ModuleType:
 
 
 def version(neutral: Neutral | None = None) -> str:
-    """Of Mitsuba, with its variant."""
+    """Of Mitsuba, with its variant; it takes a scene as all that a `Worker` calls."""
     return f"{start().__version__} {VARIANT}"
 
 
@@ -59,10 +59,8 @@ def load(mi: ModuleType, neutral: Neutral):
     parts: dict = {"type": "scene", "sensor": _sensor(mi, neutral)}
     for number, sheet in enumerate(neutral.sheets):
         surface = _surface(mi, sheet.surface)
-        shapes = [sheet]
-        if sheet.surface.shines:
-            shapes.append(back_of(sheet, neutral.extent))
-        parts |= {f"sheet{number}.{side}".replace(".", "_"): _shape(mi, shape, surface) for side, shape in enumerate(shapes)}
+        shapes = [sheet, back_of(sheet, neutral.extent)] if sheet.surface.shines else [sheet]
+        parts |= {f"sheet{number}_{side}": _shape(mi, shape, surface) for side, shape in enumerate(shapes)}
     parts |= {f"lamp{number}": _lamp(mi, neutral.lamps, number) for number in range(len(neutral.lamps))}
     if neutral.world.any():
         parts["world"] = _world(mi, neutral.world)
@@ -172,7 +170,7 @@ def _lamp(mi: ModuleType, lamps: Lamps, number: int) -> dict:
     if kind == SPOT:
         half = float(np.degrees(0.5 * lamps.angle[number]))
         return {
-            "type": "spotlight" if hasattr(mi, "spotlight") else "spot",
+            "type": "spot",
             "to_world": mi.ScalarTransform4f(placed.tolist()),
             "intensity": emission,
             "cutoff_angle": half,

@@ -5,7 +5,7 @@ difference of two renders of one seed), and `Light`, direct and indirect togethe
 chance as indirect.  Pixels in which an emitter or the world is seen belong to neither: LuxCore's own layer of them is no mean over a pixel.
 
 Rows of three suites: `peers` (what was measured), `peers-time` (seconds to an error, ours and the best of each renderer) and `peers-check`
-(whether a renderer shows the same direct light; one that does not has no rows).
+(whether a renderer shows the reference's direct light; a peer that does not has no rows).
 """
 
 from __future__ import annotations
@@ -129,10 +129,14 @@ def _scene_rows(folder: Path, name: str, source: str, size, spp, reference_sampl
     with closing(Denoiser()) as denoiser, ExitStack() as stack:
         workers = [stack.enter_context(closing(Worker(module.NAME, neutral))) for module in (mitsuba, luxcore)]
         truth = with_light(truth_of(scene, name, neutral.identity(), size, reference_samples, denoiser))
-        ours = contestants.ours(scene, size, OURS.scaled(CHECK_QUALITY, 0)).layers
-        peers, checks = _peers(name, workers, neutral.has_gaps, ours, truth)
+        reference = tuple(half["Direct"] for half in truth.halves)
+        shown = ~truth.mean["Emission"].any(2)
+        ours = [contestants.ours(scene, size, replace(OURS, seed=seed).scaled(CHECK_QUALITY, 0)).layers["Direct"] for seed in (0, 1)]
+        rows.append(_check_row(name, "lumigate", same_light(reference, ours, shown)))
+        peers, checks = _peers(name, workers, neutral.has_gaps, reference, shown)
         rows += checks
-        points, pictures = _measure(scene, truth, size, spp, repeats, qualities, peers, denoiser)
+        points, pictures, lost = _measure(scene, truth, size, spp, repeats, qualities, peers, denoiser)
+        rows += [_said(f"{name}: {line}") for line in lost]
         plain = re.sub(r"[^\w.-]+", "-", name)
         _write_pictures(folder / f"beside-peers-{plain}.png", truth, pictures)
     rows += [_point_row(name, size, truth, layer, point) for layer in LAYERS for point in points if point.errors.get(layer)]
@@ -152,15 +156,15 @@ def with_light(truth: Truth) -> Truth:
     return truth
 
 
-def _peers(name: str, workers: Sequence[Worker], has_gaps: bool, ours: Layers, truth: Truth) -> tuple[list[Peer], list[dict]]:
-    """The renderers that are there and show the same direct light, and rows that say so of all."""
+def _peers(name: str, workers: Sequence[Worker], has_gaps: bool, reference, shown: np.ndarray) -> tuple[list[Peer], list[dict]]:
+    """The renderers that are there and show the reference's direct light (two pictures), and rows that say so of all."""
     peers, rows = [], []
     for worker in workers:
         try:
             version = worker.call("version")
             for title, arguments, chosen in (_mitsuba if worker.module == mitsuba.NAME else _luxcore)(worker, has_gaps):
                 pictures = tuple(worker.call("direct", *arguments, CHECK_SAMPLES, seed) for seed in (0, 1))
-                check = same_light(ours["Direct"], pictures, ~truth.mean["Emission"].any(2))
+                check = same_light(reference, pictures, shown)
                 rows.append(_check_row(name, f"{title} {version}", check))
                 if check.holds:
                     peers += chosen
@@ -183,9 +187,9 @@ def _luxcore(worker: Worker, has_gaps: bool) -> list[tuple[str, tuple, list[Peer
 
 
 def _check_row(name: str, title: str, check: Check) -> dict:
-    verdict = "the same light" if check.holds else "not the same light, so that it has no rows"
+    verdict = "the same" if check.holds else "not the same"
     blocks = f"worst block {100 * check.worst:.1f} %, {100 * check.allowed:.1f} % allowed"
-    return _said(f"{name}: direct light of {title} over ours ({blocks}): {verdict}") | {
+    return _said(f"{name}: direct light of {title} over the reference's ({blocks}): {verdict}") | {
         "value": check.mean,
         "unit": "1",
         "holds": check.holds,
@@ -193,14 +197,16 @@ def _check_row(name: str, title: str, check: Check) -> dict:
 
 
 def _measure(scene: bpy.types.Scene, truth: Truth, size, spp, repeats: int, qualities, peers: list[Peer], denoiser: Denoiser):
-    """Points of all contestants at all settings, which take turns, ours first, and the last pictures of `Light` by method and amount."""
+    """Points of all contestants at all settings, which take turns, ours first; the last pictures of `Light` by method and amount; lines on peers
+    that ended on the way.
+    """
     ours = [Point(OURS.method, f"quality {quality:g}", quality, errors={}) for quality in qualities]
     theirs: list[dict[str, Point]] = []
     for samples in spp:
         methods = [*PEERS, *(f"{peer.name}{way}" for peer in peers for way in WAYS)]
         theirs.append({method: Point(method, f"{samples} spp", samples, errors={}) for method in methods})
     shown = ~truth.mean["Emission"].any(2, keepdims=True)
-    pictures = {}
+    pictures, lost = {}, {}
 
     def add(point: Point, run: Timed, layers: Sequence[str]) -> None:
         point.seconds.append(run.seconds)
@@ -223,11 +229,17 @@ def _measure(scene: bpy.types.Scene, truth: Truth, size, spp, repeats: int, qual
                 for method, run in render_cycles(scene, size, samples, seed, denoiser).items():
                     add(others[method], run, LAYERS)
             for peer in peers if seed >= 0 else [p for p in peers if p.name.startswith(mitsuba.NAME)]:
-                raw, guides = peer.render(samples, PEER_SEED + seed)
+                if peer.name in lost:
+                    continue
+                try:
+                    raw, guides = peer.render(samples, PEER_SEED + seed)
+                except SceneError as error:
+                    lost[peer.name] = f"{peer.name} with {samples} samples: {error}"
+                    continue
                 if seed >= 0:
                     for way, run in _denoised(peer, raw, guides, denoiser).items():
                         add(others[f"{peer.name}{way}"], run, peer.layers)
-    return [*ours, *(point for others in theirs for point in others.values())], pictures
+    return [*ours, *(point for others in theirs for point in others.values())], pictures, list(lost.values())
 
 
 def _write_pictures(path: Path, truth: Truth, pictures: dict[tuple[str, float], np.ndarray]) -> None:

@@ -111,7 +111,7 @@ PEERS = pytest.mark.parametrize("module, way", [("mitsuba", ("volpath",)), ("lux
 def test_each_lamp_lights_the_ground_as_ours_does(scene, ours, module, way):
     shown = ~ours["Emission"].any(2)
     first, second = (call(module, scene, "direct", *way, 256, seed) for seed in (1, 2))
-    check = same_light(ours["Direct"], (first, second), shown)
+    check = same_light((ours["Direct"],) * 2, (first, second), shown)
     assert abs(check.mean - 1) < 0.01 and check.worst < 0.08, check
     for x, y in ((-2, -1), (-3.2, 1.2), (3.5, 1), (-0.6, -1.35)):  # beneath each lamp
         i = int((x / 8 + 0.5 - 0.06 * 6 / 8) * SIZE[0])
@@ -219,14 +219,14 @@ def test_another_light_is_noticed():
     random = np.random.default_rng(0)
     light, shown = random.uniform(0.5, 1.5, (36, 64, 3)), np.ones((36, 64), bool)
     noisy = [light * random.normal(1, 0.02, light.shape) for _ in range(2)]
-    assert same_light(light, noisy, shown).holds
-    assert not same_light(light, [1.02 * picture for picture in noisy], shown).holds
-    assert not same_light(light, [np.roll(picture, 5, 1) for picture in noisy], shown).holds
+    assert same_light((light, light), noisy, shown).holds
+    assert not same_light((light, light), [1.02 * picture for picture in noisy], shown).holds
+    assert not same_light((light, light), [np.roll(picture, 5, 1) for picture in noisy], shown).holds
     patch = np.ones_like(light)
     patch[:5, :5] = 0.8
-    assert not same_light(light, [patch * picture for picture in noisy], shown).holds
+    assert not same_light((light, light), [patch * picture for picture in noisy], shown).holds
     shown[:5, :5] = False
-    assert same_light(light, [patch * picture for picture in noisy], shown).holds
+    assert same_light((light, light), [patch * picture for picture in noisy], shown).holds
 
 
 def point(method, amount, seconds, relmse):
