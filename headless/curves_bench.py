@@ -365,10 +365,18 @@ def _style(method: str) -> dict:
     return {"marker": "sD^"[list(PEERS).index(method) % len(_WAYS)], "linestyle": ":" if PEERS[method].get("guiding") else "--"}
 
 
+def plain_seconds(axes) -> None:
+    """Figures like .5, 1, 2 at a logarithmic axis of seconds."""
+    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+
+
 def plot(path: Path, layer: str, rows: list[dict]) -> None:
     """Seconds against relMSE of `layer`, both logarithmic: a panel a scene, a line a method; errors of 0 or less are left out."""
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
     rows = [row for row in rows if row["suite"] == "curves" and row["layer"] == layer]
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
@@ -382,9 +390,7 @@ def plot(path: Path, layer: str, rows: list[dict]) -> None:
             curve = [(r["seconds"], r["relmse"]) for r in rows if (r["scene"], r["method"]) == (scene, method) and r["relmse"] > 0]
             axes.plot(*zip(*curve) if curve else ((), ()), label=method, **_style(method))
         axes.set(title=scene, xscale="log", yscale="log", xlabel="seconds", ylabel="relMSE, net of the reference's noise")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axes.xaxis.set_minor_locator(NullLocator())
-        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        plain_seconds(axes)
         axes.grid(alpha=0.3)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(

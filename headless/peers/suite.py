@@ -45,6 +45,7 @@ from ..curves_bench import (
     Point,
     Time,
     Truth,
+    plain_seconds,
     render_cycles,
     time_to_error,
     truth_of,
@@ -62,7 +63,7 @@ TARGETS = (0.05, 0.02)
 WAYS = ("", "+oidn", "+oidn, guides denoised")
 CHECK_SAMPLES, CHECK_QUALITY = 32, 2.0
 # In a report that is printed in grey a line is told by its mark.
-_STYLES = (("o", "-"), ("s", "--"), ("D", ":"), ("^", "-."), ("v", "--"), ("P", ":"))
+_STYLES = (("o", "-"), ("s", "--"), ("D", ":"), ("^", "-."), ("v", "--"), ("P", ":"), ("X", "-."), ("<", "--"))
 
 
 @dataclass(frozen=True)
@@ -266,12 +267,15 @@ def _denoised(peer: Peer, raw: Timed, guides: float, denoiser: Denoiser) -> dict
 
 
 def best_time(points: Sequence[Point], layer: str, target: float) -> tuple[str, Time]:
-    """The method that reaches an error first, and when; where none is seen to, the least time that it takes more than."""
-    curves = {}
+    """The method that reaches an error first, and when; where none is seen to, the one that comes nearest, which takes more than its last time."""
+    times, nearest = {}, {}
     for method in dict.fromkeys(point.method for point in points):
         own = [point for point in points if point.method == method]
-        curves[method] = time_to_error([point.time for point in own], [point.error(layer) for point in own], target)
-    return min(curves.items(), key=lambda item: (item[1].bound == "more than", item[1].seconds))
+        times[method] = time_to_error([point.time for point in own], [point.error(layer) for point in own], target)
+        nearest[method] = min(point.error(layer) for point in own)
+    reached = [method for method, time in times.items() if time.bound != "more than"]
+    best = min(reached, key=lambda method: times[method].seconds) if reached else min(nearest, key=nearest.__getitem__)
+    return best, times[best]
 
 
 def _family(method: str) -> str:
@@ -355,6 +359,7 @@ def plot(path: Path, layer: str, rows: list[dict]) -> None:
             curve = [(row["seconds"], row["relmse"]) for row in own if row["method"] == best and row["relmse"] > 0]
             axes.plot(*zip(*curve) if curve else ((), ()), marker=marker, linestyle=line, markersize=5, linewidth=1.2, label=renderer)
         axes.set(title=scene, xscale="log", yscale="log", xlabel="seconds", ylabel="relMSE, net of the reference's noise")
+        plain_seconds(axes)
         axes.grid(True, which="major", linewidth=0.4, color="0.8")
     handles = {label: handle for axes in figure.axes for handle, label in zip(*axes.get_legend_handles_labels())}
     figure.legend(handles.values(), handles, fontsize="small", loc="outside lower center", ncols=3)
