@@ -141,7 +141,7 @@ def _scene_rows(folder: Path, name: str, source: str, size, spp, reference_sampl
         plain = re.sub(r"[^\w.-]+", "-", name)
         _write_pictures(folder / f"beside-peers-{plain}.png", truth, pictures)
     rows += [_point_row(name, size, truth, layer, point) for layer in LAYERS for point in points if point.errors.get(layer)]
-    return rows + [row for layer in LAYERS for row in time_rows(name, layer, points)]
+    return rows + [row for layer in LAYERS for row in time_rows(name, layer, points, truth.noise(layer))]
 
 
 def _said(line: str, **more) -> dict:
@@ -283,8 +283,11 @@ def _family(method: str) -> str:
     return next(name for name in ("cycles", mitsuba.NAME, luxcore.NAME) if name in method)
 
 
-def time_rows(scene: str, layer: str, points: list[Point]) -> list[dict]:
-    """Our seconds to each error beside those of each renderer, in its best way: at `TARGETS`, and at those of the best Cycles."""
+def time_rows(scene: str, layer: str, points: list[Point], noise: float) -> list[dict]:
+    """Our seconds to each error beside those of each renderer, in its best way: at `TARGETS`, and at those of the best Cycles.
+
+    noise: of the reference, as relMSE; a row's case says so where it is above a tenth of the error (design.md, section 6).
+    """
     there = [point for point in points if layer in point.errors]
     ours = [point for point in there if point.method == OURS.method]
     peers = [point for point in there if point.method != OURS.method]
@@ -295,6 +298,7 @@ def time_rows(scene: str, layer: str, points: list[Point]) -> list[dict]:
             targets[f"{best:.2e}, Cycles' at {samples}"] = best
     rows = []
     for title, target in targets.items():
+        title += f" (noise of the reference: {noise:.1e})" if noise > target / 10 else ""
         mine = best_time(ours, layer, target)[1]
         for family in dict.fromkeys(_family(point.method) for point in peers):
             method, theirs = best_time([point for point in peers if _family(point.method) == family], layer, target)

@@ -243,9 +243,11 @@ def test_times_are_those_of_the_best_way_of_each_renderer():
         point("luxcore", 16, 3.0, 0.5),
         point("luxcore", 64, 30.0, 0.02),
     ]
-    rows = {(row["renderer"], row["relmse"]): row for row in suite.time_rows("room", "Light", [*ours, *cycles, *peers])}
+    rows = {(row["renderer"], row["relmse"]): row for row in suite.time_rows("room", "Light", [*ours, *cycles, *peers], 0.003)}
     assert rows["luxcore", 0.02]["peer_value"] == pytest.approx(30) and "ratio_bound" not in rows["luxcore", 0.02]
+    assert "noise of the reference: 3.0e-03" in rows["luxcore", 0.02]["case"]
     row = rows["mitsuba", 0.05]
+    assert "noise" not in row["case"]
     assert row["peer_bound"] == row["ratio_bound"] == "more than" and row["peer_value"] == 5.0  # the one that comes nearest
     assert rows["cycles", 0.02]["peer_bound"] == "less than" and rows["cycles", 0.02]["method"] == "guided cycles+oidn"
     assert rows["cycles", 0.01]["value"] == pytest.approx(Time(2.0).seconds, rel=0.3)  # at Cycles' own error
