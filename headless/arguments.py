@@ -21,7 +21,7 @@ from .sequence_arguments import add_sequence, frame, frame_range, sequence_setti
 
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 SUITES = (  # of `bench`
-    *("kernels", "clustering", "fuzzy", "vals", "topology", "previews", "radiosity", "curves", "lightmaps", "frames", "farm"),
+    *("kernels", "clustering", "fuzzy", "vals", "topology", "previews", "radiosity", "curves", "peers", "lightmaps", "frames", "farm"),
     *("auto", "scaling", "stress", "skipping", "papers", "quick", "full"),
 )
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
@@ -174,27 +174,35 @@ REFERENCE_SAMPLES = OwnOption("--reference-samples", "reference_samples", {"type
 
 FRAMES = OwnOption("--frames", "frames", {"type": count, "metavar": "N", "help": "of a sequence"})
 
+SAMPLES = OwnOption(
+    "--spp",
+    "spp",
+    {
+        "type": count,
+        "nargs": "+",
+        "metavar": "N",
+        "help": "samples a pixel of Cycles and other peers (default: 4 16 64); 16 is always among them",
+    },
+)
+REPEATS = OwnOption(
+    "--repeats", "repeats", {"type": count, "metavar": "N", "help": "runs of each setting, each with its seed (default: 3)"}
+)
+
+
+def _scenes(default: str) -> OwnOption:
+    return OwnOption("--scenes", "scenes", {"nargs": "+", "metavar": "SCENE", "help": f"(default: {default} that are there)"})
+
+
 # The suites of `bench` that have options.
 SUITE_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
     "stress": (OwnOption("--random-scenes", "scenes", {"type": count, "metavar": "N", "help": "against a path tracer (default: 10000)"}),),
-    "curves": (
-        OwnOption(
-            "--scenes",
-            "scenes",
-            {
-                "nargs": "+",
-                "metavar": "SCENE",
-                "help": "(default: atrium, corridor, cathedral, cornell, and the shared scenes that are there)",
-            },
-        ),
+    "curves": (_scenes("atrium, corridor, cathedral, cornell, and the shared scenes"), SIZE, SAMPLES, REFERENCE_SAMPLES, REPEATS),
+    "peers": (
+        _scenes("atrium, cornell, and living-room-greywhite and sponza-crytek of the shared scenes"),
         SIZE,
-        OwnOption(
-            "--spp",
-            "spp",
-            {"type": count, "nargs": "+", "metavar": "N", "help": "samples a pixel of Cycles (default: 4 16 64); 16 is always among them"},
-        ),
+        SAMPLES,
         REFERENCE_SAMPLES,
-        OwnOption("--repeats", "repeats", {"type": count, "metavar": "N", "help": "runs of each setting, each with its seed (default: 3)"}),
+        REPEATS,
     ),
     "farm": (SIZE, FRAMES),
     "frames": (

@@ -19,7 +19,7 @@ def write_report(folder: Path, suite: str, results: dict) -> None:
     _write(folder / "rows.csv", table(rows))
     if importlib.util.find_spec("matplotlib") and any(row["suite"] == "scaling" for row in rows):
         plot_scaling(folder / "scaling.png", rows)
-    plots = [path.name for path in sorted(folder.glob("*.png")) if path.name.startswith(("curves-", "scaling"))]
+    plots = [path.name for path in sorted(folder.glob("*.png")) if path.name.startswith(("curves-", "peers-", "scaling"))]
     _write(folder / "report.md", report(suite, results, plots))
 
 
@@ -53,9 +53,13 @@ _VERDICTS = ("case", "method", "must", "value", "pass")
 _CURVES = ("scene", "layer", "method", "setting", "seconds", "relmse", "bias", "flip")
 
 
+_BOUNDS = {"value": "bound", "peer_value": "peer_bound", "ratio": "ratio_bound"}
+
+
 def _cell(row: dict, column: str) -> str:
     value = row.get(column)
-    bound = f"{row['bound']} " if column == "value" and "bound" in row else ""
+    bound = row.get(_BOUNDS.get(column), "")
+    bound = f"{bound} " if bound else ""
     text = f"{value:.3g}" if isinstance(value, float) else "" if value is None else str(value)
     return (bound + text).replace("|", "\\|")
 

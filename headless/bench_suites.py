@@ -15,6 +15,7 @@ from .frames_bench import frames_rows
 from .fuzzy_bench import fuzzy_rows
 from .kernel_bench import ray_rows
 from .lightmap_bench import lightmap_rows
+from .peers.suite import peers_steps
 from .preview_bench import preview_rows
 from .radiosity_bench import radiosity_steps
 from .scaling_bench import scaling_steps
@@ -52,7 +53,7 @@ def quick_steps(folder: Path) -> list[Step]:
 
 def full_steps(folder: Path) -> list[Step]:
     """Everything there is, for hours."""
-    return [*curves_steps(folder), *auto_steps((*SCENES, *SHARED)), *scaling_steps(), *papers_steps(folder)]
+    return [*curves_steps(folder), *peers_steps(folder), *auto_steps((*SCENES, *SHARED)), *scaling_steps(), *papers_steps(folder)]
 
 
 def _alone(name: str, rows: Callable[..., list[dict]], pictured: bool = False) -> Callable[..., list[Step]]:
@@ -74,6 +75,7 @@ STEPS: dict[str, Callable[..., list[Step]]] = {
     "previews": _alone("previews", preview_rows),
     "radiosity": radiosity_steps,
     "curves": curves_steps,
+    "peers": peers_steps,
     "lightmaps": _alone("lightmaps", lightmap_rows),
     "frames": _alone("frames", frames_rows, pictured=True),
     "farm": _alone("farm", farm_rows, pictured=True),

@@ -1,9 +1,9 @@
 """Time against error: the default method beside Cycles, raw and with Open Image Denoise.
 
 Contestants take turns in one run, each turn with seeds of its own; a row has the medians.  Errors are those of a layer against
-two independent halves of a reference by Cycles, relMSE net of their noise (`core.metrics.net_relmse`).  Cycles is denoised with its
-guides as they are and with guides denoised first; the better one at `TARGET_SAMPLES` is the peer of a scene, at equal time the
-better one of that time.
+two independent halves of a reference by Cycles, relMSE net of their noise (`core.metrics.net_relmse`).  Cycles renders without path guiding
+and with it, and is denoised with its guides as they are and with guides denoised first; the best of the four at `TARGET_SAMPLES` is the peer of
+a scene, at equal time the best one of that time.
 
 Rows of three suites: `curves` (what was measured), `time-to-error` (seconds to the peer's error, interpolated) and `equal-time`
 (errors of the pictures, which lie beside the plots).  A row with a `bound` holds one of what lies outside what was measured:
@@ -46,8 +46,13 @@ PEER_SAMPLES, TARGET_SAMPLES, REFERENCE_SAMPLES = (4, 16, 64), 16, 256
 BUDGETS = (1.0, 2.0, 5.0)  # seconds of the pictures at equal time
 REPEATS = 3
 OURS = RenderSettings().with_defaults()
-# Of Cycles; the first is not denoised, and no peer for the time to an error.
-PEERS = {"cycles": None, "cycles+oidn": {"denoise": True}, "cycles+oidn, guides denoised": {"denoise": True, "prefilter": True}}
+_WAYS = {"": {}, "+oidn": {"denoise": True}, "+oidn, guides denoised": {"denoise": True, "prefilter": True}}
+# Of Cycles, as fields of `ReferenceSettings`; what is not denoised is no peer for the time to an error.
+PEERS = {
+    **{f"cycles{name}": way for name, way in _WAYS.items()},
+    **{f"guided cycles{name}": way | {"guiding": True} for name, way in _WAYS.items()},
+}
+DENOISED_PEERS = tuple(method for method, way in PEERS.items() if way.get("denoise"))
 PEER_SEED = 1000  # far from the reference's seeds: a picture must not share its noise
 MOST_SAMPLES = 4096
 LATEST = 1.2  # of a budget: what takes longer has not kept it
@@ -166,11 +171,16 @@ def _scene_rows(folder, name: str, source: str, size, spp, reference_samples: in
 
 def reference_truth(scene: bpy.types.Scene, source: str, size, samples: int, denoiser: Denoiser) -> Truth:
     """Of the open scene, rendered by Cycles where it is not in the cache; SceneError where it has no indirect light."""
-    halves = cached_halves(scene, scene_identity(source), spp=samples, size=size, bounces=OURS.bounces)
-    mean = Layers({name: (halves[0][name] + halves[1][name]) / 2 for name in halves[0]})
+    return truth_of(scene, source, scene_identity(source), size, samples, denoiser)
+
+
+def truth_of(scene: bpy.types.Scene, name: str, identity: dict, size, samples: int, denoiser: Denoiser) -> Truth:
+    """`reference_truth` of a scene called `name` that `identity` tells from any other."""
+    halves = cached_halves(scene, identity, spp=samples, size=size, bounces=OURS.bounces)
+    mean = Layers({layer: (halves[0][layer] + halves[1][layer]) / 2 for layer in halves[0]})
     for layer in LAYERS:
         if not mean[layer].any():
-            raise SceneError(f"{source} has no light in the layer {layer}, so that no error can be told; leave this scene out")
+            raise SceneError(f"{name} has no light in the layer {layer}, so that no error can be told; leave this scene out")
     clean = replace(mean, arrays=dict(mean))
     denoise_layers(clean, ReferenceSettings(denoise=True, prefilter=True), denoiser)
     return Truth(halves, mean, clean)
@@ -180,24 +190,32 @@ def _measure(scene: bpy.types.Scene, truth: Truth, size, spp, repeats: int, qual
     """All contestants at all settings, ours first in each turn."""
     ours = [Point(OURS.method, f"quality {quality:g}", quality) for quality in qualities]
     theirs = [[Point(method, f"{samples} spp", samples) for method in PEERS] for samples in spp]
-    _cycles(scene, size, 1, 0, denoiser)
+    render_cycles(scene, size, 1, 0, denoiser)
     contestants.ours(scene, size, OURS.scaled(min(qualities), 0))
     for seed in range(repeats):
         for point, peers in zip_longest(ours, theirs):
             if point:
                 point.add(contestants.ours(scene, size, replace(OURS, seed=seed).scaled(point.amount, 0)), truth)
             if peers:
-                runs = _cycles(scene, size, peers[0].amount, seed, denoiser)
+                runs = render_cycles(scene, size, peers[0].amount, seed, denoiser)
                 for peer in peers:
                     peer.add(runs[peer.method], truth)
     return [*ours, *(peer for peers in theirs for peer in peers)]
 
 
-def _cycles(scene: bpy.types.Scene, size, samples: int, seed: int, denoiser: Denoiser) -> dict[str, contestants.Timed]:
-    """One render of Cycles, as it is and denoised in each way."""
-    request = ReferenceSettings(spp=samples, size=size, bounces=OURS.bounces, seed=PEER_SEED + seed)
-    raw = contestants.cycles(scene, request, denoiser)
-    return {name: contestants.denoised(raw, replace(request, **way), denoiser) if way else raw for name, way in PEERS.items()}
+def render_cycles(
+    scene: bpy.types.Scene, size, samples: int, seed: int, denoiser: Denoiser, methods: Sequence[str] = tuple(PEERS)
+) -> dict[str, contestants.Timed]:
+    """Pictures of Cycles by the methods of `PEERS`: one render without path guiding and one with it, each as it is and denoised in each way."""
+    runs, raw = {}, {}
+    for method in methods:
+        guiding = PEERS[method].get("guiding", False)
+        request = ReferenceSettings(spp=samples, size=size, bounces=OURS.bounces, seed=PEER_SEED + seed, guiding=guiding)
+        if guiding not in raw:
+            raw[guiding] = contestants.cycles(scene, request, denoiser)
+        denoise = PEERS[method].get("denoise")
+        runs[method] = contestants.denoised(raw[guiding], replace(request, **PEERS[method]), denoiser) if denoise else raw[guiding]
+    return runs
 
 
 def time_to_error(seconds: Sequence[float], errors: Sequence[float], target: float) -> Time:
@@ -219,7 +237,7 @@ def time_to_error(seconds: Sequence[float], errors: Sequence[float], target: flo
 
 def best_peer(points: list[Point], layer: str) -> str:
     """The denoised Cycles with the least error of `layer` at `TARGET_SAMPLES`."""
-    denoised = (p for p in points if PEERS.get(p.method) and p.amount == TARGET_SAMPLES)
+    denoised = (p for p in points if p.method in DENOISED_PEERS and p.amount == TARGET_SAMPLES)
     return min(denoised, key=lambda point: point.error(layer)).method
 
 
@@ -290,8 +308,8 @@ def fitting_peer(errors: dict[str, float], seconds: dict[str, float], budget: fl
 def _equal_time(folder, name: str, scene: bpy.types.Scene, truth: Truth, size, budget: float, points: list[Point], denoiser) -> list[dict]:
     """Rows of our picture and Cycles' at one time, and the picture of both beside the reference: a row of panels for each layer."""
     ours = contestants.ours(scene, size, replace(OURS, time_budget=budget))
-    fitting = {method: fitting_samples([p for p in points if p.method == method], budget) for method in PEERS if PEERS[method]}
-    runs = {method: _cycles(scene, size, samples, 0, denoiser)[method] for method, samples in fitting.items()}
+    fitting = {method: fitting_samples([p for p in points if p.method == method], budget) for method in DENOISED_PEERS}
+    runs = {method: render_cycles(scene, size, samples, 0, denoiser, (method,))[method] for method, samples in fitting.items()}
     errors = {method: truth.errors(run.layers, "Indirect")["relmse"] for method, run in runs.items()}
     method = fitting_peer(errors, {method: run.seconds for method, run in runs.items()}, budget)
     samples, cycles = fitting[method], runs[method]
@@ -340,10 +358,25 @@ def _point_row(scene: str, size, truth: Truth, layer: str, point: Point) -> dict
     }
 
 
+def _style(method: str) -> dict:
+    """Of a line, told apart in grey too: Cycles dashed, with path guiding dotted, a mark for each way of denoising."""
+    if method not in PEERS:
+        return {"marker": "o", "linestyle": "-"}
+    return {"marker": "sD^"[list(PEERS).index(method) % len(_WAYS)], "linestyle": ":" if PEERS[method].get("guiding") else "--"}
+
+
+def plain_seconds(axes) -> None:
+    """Figures like .5, 1, 2 at a logarithmic axis of seconds."""
+    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+
+
 def plot(path: Path, layer: str, rows: list[dict]) -> None:
     """Seconds against relMSE of `layer`, both logarithmic: a panel a scene, a line a method; errors of 0 or less are left out."""
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
     rows = [row for row in rows if row["suite"] == "curves" and row["layer"] == layer]
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
@@ -355,14 +388,14 @@ def plot(path: Path, layer: str, rows: list[dict]) -> None:
     for scene, axes in zip(scenes, figure.subplots(lines, columns, squeeze=False).flat):
         for method in dict.fromkeys(row["method"] for row in rows):
             curve = [(r["seconds"], r["relmse"]) for r in rows if (r["scene"], r["method"]) == (scene, method) and r["relmse"] > 0]
-            axes.plot(*zip(*curve) if curve else ((), ()), marker="o", linestyle="--" if method in PEERS else "-", label=method)
+            axes.plot(*zip(*curve) if curve else ((), ()), label=method, **_style(method))
         axes.set(title=scene, xscale="log", yscale="log", xlabel="seconds", ylabel="relMSE, net of the reference's noise")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axes.xaxis.set_minor_locator(NullLocator())
-        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        plain_seconds(axes)
         axes.grid(alpha=0.3)
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize="small", loc="outside lower center", ncols=len(labels))  # over no curve, whatever the scene
+    figure.legend(
+        handles, labels, fontsize="small", loc="outside lower center", ncols=min(len(labels), 2 * columns)
+    )  # over no curve, whatever the scene
     for axes in figure.axes[len(scenes) :]:
         axes.set_axis_off()
     figure.suptitle(layer)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import platform
 from argparse import Namespace
-from importlib.metadata import version
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 
 from rich.markup import escape
 from rich.table import Table
@@ -16,9 +17,11 @@ from ..bench_steps import run_steps
 from ..bench_suites import STEPS
 from ..console import Terminal
 from ..curves_bench import METRICS, OPPOSITE, curves_summary
+from ..peers.suite import peers_summary
 from ..results import write_json
 
 PACKAGES = ("bpy", "numpy", "numba", "llvmlite", "scipy", "embreex", "OpenImageIO")
+PEER_PACKAGES = ("mitsuba", "pyluxcore")  # noted where they are
 
 
 def run(arguments: Namespace, terminal: Terminal) -> None:
@@ -29,6 +32,7 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     with terminal.progress() as progress:
         rows = run_steps(steps, folder, identity, progress, terminal.say)
     rows += curves_summary(folder, rows)
+    peers_summary(folder, rows)
     results = {"machine": identity["machine"], "versions": identity["versions"], "rows": rows}
     write_json(folder / "results.json", results)
     write_report(folder, arguments.suite, results)
@@ -66,7 +70,7 @@ def _verdicts(suite: str, rows: list[dict]) -> Table:
 def _case(row: dict) -> tuple[str, ...]:
     """Cells of a row with a value; what is more or less than the value's figure makes the ratio less or more."""
     bound = row.get("bound", "")
-    bounds = {"value": bound, "peer_value": "", "ratio": OPPOSITE.get(bound, bound)}
+    bounds = {"value": bound, "peer_value": row.get("peer_bound", ""), "ratio": row.get("ratio_bound", OPPOSITE.get(bound, bound))}
     value, peer, ratio = (f"{bounds[name]} {_figure(row[name])}".strip() if name in row else "" for name in bounds)
     return escape(row["case"]), value, row["unit"], peer, ratio
 
@@ -81,8 +85,12 @@ def machine() -> dict:
 
 
 def versions() -> dict:
-    """Versions of this package, Python and what the kernels stand on."""
-    return {"lumigate": __version__, "python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+    """Versions of this package, Python, what the kernels stand on, and the other renderers that are installed."""
+    found = {"lumigate": __version__, "python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+    for name in PEER_PACKAGES:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def _processor() -> str:
