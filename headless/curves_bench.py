@@ -134,18 +134,26 @@ def curves_steps(
     scenes: as `sources.find_scene` takes them; None is the sample scenes and those shared ones that are there.
     Raises SceneError where a scene is not there, or there is nothing to draw plots with.
     """
-    if importlib.util.find_spec("matplotlib") is None:
-        raise SceneError("the plots need the package matplotlib, which is not installed; install it with pip")
-    found = {name: find_scene(name) for name in scenes or (*SCENES, *SHARED)}
-    missing = [name for name, source in found.items() if source is None]
-    if scenes and missing:
-        raise SceneError(f"there is no scene {missing[0]!r}; name a file, a sample scene or a scene in the folder LUMIGATE_SCENES")
     samples = sorted({*spp, TARGET_SAMPLES})
     return [
         Step(f"curves {name}", partial(_scene_rows, folder, name, source, size, samples, reference_samples, repeats, qualities, budgets))
-        for name, source in found.items()
-        if source is not None
+        for name, source in scenes_to_plot(scenes, (*SCENES, *SHARED)).items()
     ]
+
+
+def scenes_to_plot(scenes: Sequence[str] | None, usual: Sequence[str]) -> dict[str, str]:
+    """Where the scenes of a suite with plots are, by name: those asked for, or of the usual ones those that are there.
+
+    Raises:
+        SceneError: one that is asked for is not there, or there is nothing to draw plots with.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        raise SceneError("the plots need the package matplotlib, which is not installed; install it with pip")
+    found = {name: find_scene(name) for name in scenes or usual}
+    missing = [name for name, source in found.items() if source is None]
+    if scenes and missing:
+        raise SceneError(f"there is no scene {missing[0]!r}; name a file, a sample scene or a scene in the folder LUMIGATE_SCENES")
+    return {name: source for name, source in found.items() if source is not None}
 
 
 def curves_summary(folder: Path, rows: list[dict]) -> list[dict]:

@@ -216,27 +216,8 @@ def path_light(
     for vertex in range(bounces + _MORE_SURFACES):
         at = vertex * DIMENSIONS
         if left > 0 and len(cache.gain) > 0:
-            _add_gain(
-                scene,
-                surface,
-                cache,
-                on,
-                x,
-                y,
-                z,
-                gx,
-                gy,
-                gz,
-                lobe_cosine(sx, sy, sz, gx, gy, gz, wx, wy, wz),
-                seed,
-                path,
-                at,
-                kr * wr,
-                kg * wg,
-                kb * wb,
-                out,
-                i,
-            )
+            cosine = lobe_cosine(sx, sy, sz, gx, gy, gz, wx, wy, wz)
+            _add_gain(scene, surface, cache, on, x, y, z, gx, gy, gz, cosine, seed, path, at, kr * wr, kg * wg, kb * wb, out, i)
         first = own if vertex == 0 else _1
         shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1

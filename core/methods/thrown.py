@@ -19,7 +19,6 @@ ENOUGH = 32768  # probes that get a ray: their cells and those around them share
 FARTHEST = 4  # bounces after which what the direction changes is told by the bounce before
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
-_PI = np.float32(np.pi)
 
 
 @kernel

@@ -111,7 +111,7 @@ def _material(surface: Surface) -> bpy.types.Material:
 def _lamp(lamps: Lamps, number: int) -> None:
     """The inverse of `addon.extract.lamps`."""
     kind, emission = int(lamps.kind[number]), lamps.emission[number].astype(float)
-    strength = emission.max()
+    strength = emission.max() or 1.0  # a dark one has no colour
     light = bpy.data.lights.new(lamps.names[number], _KINDS[kind])
     light.color = emission / strength
     if kind == AREA:

@@ -10,7 +10,6 @@ Rows of three suites: `peers` (what was measured), `peers-time` (seconds to an e
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import re
 from collections.abc import Sequence
@@ -47,11 +46,12 @@ from ..curves_bench import (
     Truth,
     plain_seconds,
     render_cycles,
+    scenes_to_plot,
     time_to_error,
     truth_of,
 )
 from ..reference import ReferenceSettings, denoise_layers
-from ..sources import extract, find_scene, open_source
+from ..sources import extract, open_source
 from . import blender, luxcore, mitsuba
 from .check import Check, same_light
 from .neutral import neutral_scene
@@ -100,17 +100,10 @@ def peers_steps(
     scenes: as `sources.find_scene` takes them; None is `SCENES`, as far as they are there.
     Raises SceneError where a scene is not there, or there is nothing to draw plots with.
     """
-    if importlib.util.find_spec("matplotlib") is None:
-        raise SceneError("the plots need the package matplotlib, which is not installed; install it with pip")
-    found = {name: find_scene(name) for name in scenes or SCENES}
-    missing = [name for name, source in found.items() if source is None]
-    if scenes and missing:
-        raise SceneError(f"there is no scene {missing[0]!r}; name a file, a sample scene or a scene in the folder LUMIGATE_SCENES")
     samples = sorted({*spp, TARGET_SAMPLES})
     return [
         Step(f"peers {name}", partial(_scene_rows, folder, name, source, size, samples, reference_samples, repeats, qualities))
-        for name, source in found.items()
-        if source is not None
+        for name, source in scenes_to_plot(scenes, SCENES).items()
     ]
 
 
