@@ -348,13 +348,14 @@ def plot(path: Path, layer: str, rows: list[dict]) -> None:
     lines = math.ceil(len(scenes) / columns)
     figure = Figure(figsize=(5 * columns, 4 * lines), layout="constrained")
     for scene, axes in zip(scenes, figure.subplots(lines, columns, squeeze=False).flat):
-        for renderer, (marker, line) in zip(renderers, cycle(_STYLES)):
+        for number, (renderer, (marker, line)) in enumerate(zip(renderers, cycle(_STYLES))):
             own = [row for row in rows if row["scene"] == scene and _undenoised(row["method"]) == renderer]
             if not own:
                 continue
             best = min(own, key=lambda row: row["relmse"])["method"]
             curve = [(row["seconds"], row["relmse"]) for row in own if row["method"] == best and row["relmse"] > 0]
-            axes.plot(*zip(*curve) if curve else ((), ()), marker=marker, linestyle=line, markersize=5, linewidth=1.2, label=renderer)
+            style = {"color": f"C{number}", "marker": marker, "linestyle": line}  # the same in every panel, whoever is missing
+            axes.plot(*zip(*curve) if curve else ((), ()), **style, markersize=5, linewidth=1.2, label=renderer)
         axes.set(title=scene, xscale="log", yscale="log", xlabel="seconds", ylabel="relMSE, net of the reference's noise")
         plain_seconds(axes)
         axes.grid(True, which="major", linewidth=0.4, color="0.8")
