@@ -18,6 +18,7 @@ from .lamps import DirectLight, Emitters, LightGroups, build_emitters, direct_li
 from .lamps.escapes import shadows_alike
 from .lamps.links import is_linked
 from .methods.area_shadows import area_lamps, direct_by_soft_maps
+from .methods.caustics import add_caustics, bends_light, trace_photons
 from .methods.fuzzy_clustering import FuzzyClustering
 from .methods.glossy import Reflections, has_lobes, reflect
 from .methods.importance_sampling import ImportanceSampling, cache_paths
@@ -220,6 +221,10 @@ def direct_stage(
             shine, by_glass, rays = found
             light = light._replace(glossy=light.glossy + shine, glossy_by_glass=light.glossy_by_glass + by_glass, shine=shine)
             run.rays["shadow"] += rays
+        if settings.bounces > 0 and bends_light(tables):
+            photons, rays = trace_photons(tables, len(points.position), seed, threads)
+            add_caustics(photons, points, threads, light.irradiance_by_glass)
+            run.rays["light"] += rays
         if settings.bounces == 0:  # glass is a bounce
             nothing = np.zeros_like(light.irradiance_by_glass)
             return light._replace(irradiance_by_glass=nothing, glossy_by_glass=nothing)

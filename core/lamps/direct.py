@@ -652,7 +652,7 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
                 continue
             dx, dy, dz, cosine = gather_ray(seed, i, first + s, sx, sy, sz)
             ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz)
-            triangle, _, _, _, r, g, b, clear, _ = nearest_surface(
+            triangle, _, _, t, r, g, b, clear, _ = nearest_surface(
                 scene,
                 packet,
                 rows,
@@ -673,6 +673,12 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
             e = emitter_of(emitters, triangle) if triangle >= 0 else -1
             if e < 0 or not (is_hidden_alike(emitters, e) and lights(emitters, e, scene.object, points.triangle[i])):
                 continue
+            if clear < _1:
+                _, _, _, straight = transmittance1(
+                    scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, _SHORT * t, DIFFUSE, np.int64(points.entered[i])
+                )
+                if straight < _0:  # by a lens: `methods.caustics`
+                    continue
             aimed = aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz)
             density = _gather_density(points.gathered[i], cosine)
             w = cosine * _unevenness(points, i, dx, dy, dz) * share_of(density, aimed) / density
@@ -713,7 +719,7 @@ def _trace(scene, packet, rows, surface, points, start, rays, n):
                     tr, tg, tb, clear = transmittance1(
                         scene, packet, rows, surface, p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], rays.kinds[j], entered
                     )
-                    if clear < _0:  # a lens throws it elsewhere: a caustic, which is not found
+                    if clear < _0:  # a lens throws it elsewhere: `methods.caustics`
                         tr = tg = tb = _0
             rays.through[j, 0], rays.through[j, 1], rays.through[j, 2], rays.clear[j] = tr, tg, tb, clear
     return cast

@@ -89,14 +89,14 @@ def passed_glass(entered, behind):
 
 
 @inlined
-def _bends(x, y, z, dx, dy, dz):
-    """Whether glass whose outward normals add up to (x, y, z) turns a ray aside.
+def is_lens(glasses, x, y, z, dx, dy, dz):
+    """Whether so many surfaces of glass, whose outward normals add up to (x, y, z), turn a ray along d aside.
 
-    A ray turns by about (IOR - 1) times what that sum has across it: nothing in panes, little in the walls of bulbs and bottles.
+    One side alone, as a pool's surface or a pane without thickness, is no lens.  A ray turns by about (IOR - 1) times what that sum has across it: nothing in panes, little in the walls of bulbs and bottles.
     """
     along = (x * dx + y * dy + z * dz) / (dx * dx + dy * dy + dz * dz)
     x, y, z = x - along * dx, y - along * dy, z - along * dz
-    return x * x + y * y + z * z > np.float32(_BENDING * _BENDING)
+    return glasses % 2 == 0 and x * x + y * y + z * z > np.float32(_BENDING * _BENDING)
 
 
 @leaf
@@ -114,9 +114,7 @@ def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near,
     for _ in range(MAX_PASSED):
         triangle, t, u, v = intersect1(scene.rays, CUTOUT, packet, ox, oy, oz, dx, dy, dz, start, t_far, kinds)
         if triangle < 0:
-            # One side alone, as a pool's surface or a pane without thickness, is no lens.
-            lens = glasses % 2 == 0 and _bends(x, y, z, dx, dy, dz)
-            return r, g, b, -_1 if lens else clear
+            return r, g, b, -_1 if is_lens(glasses, x, y, z, dx, dy, dz) else clear
         nx, ny, nz, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, kinds, entered, rows, surface)
         r *= surface[TRANSPARENCY]
         g *= surface[TRANSPARENCY + 1]

@@ -14,7 +14,6 @@ reflect and what lies behind.  So it is at mirrors: a sample shows both their ow
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -29,8 +28,9 @@ from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import hash_key, to_unit, uniform
 from ..scene import CAMERA, COATED, FROSTED, GLOSSY, MIRRORING, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
+from ..surfaces.bending import STRAIGHT_ON, bent, scattered
 from ..surfaces.bumps import mean_shadowing
-from ..surfaces.frosted import joined_alpha, seen_through
+from ..surfaces.frosted import joined_alpha
 from ..surfaces.layout import (
     BEND,
     COAT,
@@ -67,7 +67,6 @@ from .lamps import lamps_between
 TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample index
 PANES = 2  # surfaces of glass, mirrors, or one veil, that a sample shows as well as what lies behind them
 POLISHED = np.float32(0.1)  # roughness of a mirror, at most
-STRAIGHT_ON = np.float32(1e-3)  # distance of an index of refraction from 1 up to which glass bends nothing
 PERFECT = np.float32(0.02)  # the same where lamps are met by chance as well as by shadow rays
 SHINY = np.float32(0.3)  # share of the glossy lobe in all that a mirror reflects, at least
 MAX_LAYERS = 64  # transparent surfaces that one primary ray passes at most
@@ -310,49 +309,6 @@ def _reflected(materials, geometry, material, triangle, u, v, dx, dy, dz, kind, 
     return True, x, y, z, dx, dy, dz, r, g, b
 
 
-@leaf
-def _scattered(materials, geometry, material, triangle, u, v, dx, dy, dz, u1, u2, surface, lobe):
-    """How a sample along d goes on through frosted glass, whose `surface` is evaluated: (origin, direction, weight), with weight 0 for nowhere."""
-    x, y, z, gx, gy, gz, error = hit_point(geometry.vertices, geometry.triangles, triangle, u, v)
-    sx, sy, sz = shading_normal(geometry.corner_normals, triangle, u, v, gx, gy, gz)
-    sx, sy, sz = mapped_normal(materials, material, surface, sx, sy, sz)
-    if gx * dx + gy * dy + gz * dz < _0:
-        gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
-    wx, wy, wz = seen_through(sx, sy, sz, -dx, -dy, -dz)
-    set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, np.float32(math.sqrt(surface[FROST])), _1, _1, _1, _1, _1, _1)
-    dx, dy, dz, w, _, _, _ = sample_lobe(lobe, u1, u2)
-    if gx * dx + gy * dy + gz * dz <= _0:
-        return x, y, z, dx, dy, dz, _0
-    x, y, z = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-    return x, y, z, dx, dy, dz, w
-
-
-@leaf
-def _bent(materials, geometry, material, triangle, u, v, dx, dy, dz, surface):
-    """How a sample along d goes on through clear glass, whose `surface` is evaluated, by Snell's law: (whether it turns, origin, direction).
-
-    Only what has a thickness bends it for good; a solid's back bends it the other way.
-    """
-    x, y, z, gx, gy, gz, error = hit_point(geometry.vertices, geometry.triangles, triangle, u, v)
-    sx, sy, sz = shading_normal(geometry.corner_normals, triangle, u, v, gx, gy, gz)
-    sx, sy, sz = mapped_normal(materials, material, surface, sx, sy, sz)
-    eta = _1 / surface[BEND]
-    if gx * dx + gy * dy + gz * dz < _0:
-        gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
-    else:
-        eta = surface[BEND]
-    cosine = sx * dx + sy * dy + sz * dz
-    within = _1 - eta * eta * (_1 - cosine * cosine)
-    if not (within > _0 and cosine > _0):
-        return False, x, y, z, dx, dy, dz
-    along = np.float32(math.sqrt(within)) - eta * cosine
-    tx, ty, tz = normalized(eta * dx + along * sx, eta * dy + along * sy, eta * dz + along * sz)
-    if gx * tx + gy * ty + gz * tz <= _0:
-        return False, x, y, z, dx, dy, dz
-    x, y, z = offset_origin(x, y, z, gx, gy, gz, error, tx, ty, tz)
-    return True, x, y, z, tx, ty, tz
-
-
 @inlined
 def _filtered(film, u):
     """Where in the pixel a sample lies, by a uniform u in [0, 1) and the offsets of `Film`."""
@@ -517,14 +473,14 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                         way = SHOWN | REFLECTED
             seen_by_lobe = frost > PERFECT * PERFECT and way & REFRACTED and tile.frosted[lane] < 0
             if way & REFRACTED and frost > _0:
-                ox, oy, oz, dx, dy, dz, x = _scattered(
+                ox, oy, oz, dx, dy, dz, x = scattered(
                     materials, geometry, material[triangle], triangle, u, v, dx, dy, dz,
                     uniform(seed, number, s, 100 + layer), uniform(seed, number, s, 200 + layer), surface, tile.lobe,
                 )  # fmt: skip
                 r, g, b = x * r, x * g, x * b
             turns = False
             if way & REFRACTED and not frost > _0 and abs(surface[BEND] - _1) > STRAIGHT_ON:
-                turns, bx, by, bz, ex, ey, ez = _bent(materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, surface)
+                turns, bx, by, bz, ex, ey, ez = bent(materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, surface)
                 if turns:
                     ox, oy, oz, dx, dy, dz = bx, by, bz, ex, ey, ez
             if way & SHOWN:

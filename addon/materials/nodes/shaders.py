@@ -33,7 +33,7 @@ def _normal(node: NodeInput, key: str = "Normal") -> None:
 
 
 def _warn_straight(node: NodeInput, what: str) -> None:
-    node.warn(f"{what} is treated as straight through, without refraction")
+    node.warn(f"{what} bends what the camera sees and the light of lamps; other light goes straight through")
 
 
 def _warn_anisotropy(node: NodeInput, key: str) -> None:
