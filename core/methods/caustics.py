@@ -39,9 +39,9 @@ from ..transport import Transport
 CHUNK = 4096  # particles a chunk
 PILOT = 1 << 16  # particles that tell how many of them meet a lens
 PHOTONS_A_POINT = 0.125  # wanted
-FEWEST, MOST = 1 << 13, 1 << 15  # of them in any case
+FEWEST, MOST = 1 << 14, 1 << 15  # of them in any case
 MOST_FLOWN = 1 << 20
-NEAREST = 32  # photons among which the light of one is spread
+NEAREST = 48  # photons among which the light of one is spread
 SPARSE = 4.0  # times the median of the distances at which they lie: none is spread farther
 _SURFACES = 32  # that a photon meets at most
 _ALIKE = np.float32(0.7)  # cosine of the normals of a point and of a photon that lights it, at least
