@@ -207,7 +207,7 @@ def direct_stage(
 
     sampler: whose gather rays have gone out from these points, and count for what they have found of the world and of shining surfaces.
     """
-    samples, seed = settings.direct_samples, settings.seed
+    samples, seed, every = settings.direct_samples, settings.seed, tables
     gathered = sampler.gathered if sampler and shadows_alike(scene.geometry, scene.materials.tables) else None
 
     def by_rays(tables: Transport, lobes: bool) -> DirectLight:
@@ -222,7 +222,10 @@ def direct_stage(
             light = light._replace(glossy=light.glossy + shine, glossy_by_glass=light.glossy_by_glass + by_glass, shine=shine)
             run.rays["shadow"] += rays
         if settings.bounces > 0 and bends_light(tables):
-            photons, rays = trace_photons(tables, len(points.position), seed, threads)
+            sources = (
+                tables._replace(emitters=sampler.emitters) if sampler and tables is every else tables
+            )  # those are aimed at what is seen
+            photons, rays = trace_photons(sources, len(points.position), seed, threads)
             add_caustics(photons, points, threads, light.irradiance_by_glass)
             run.rays["light"] += rays
         if settings.bounces == 0:  # glass is a bounce

@@ -37,7 +37,8 @@ from ..threads import run_chunks
 from ..transport import Transport
 
 CHUNK = 4096  # particles a chunk
-PILOT = 1 << 16  # particles that tell how many of them meet a lens
+GLANCE, PILOT = 1 << 14, 1 << 16  # particles that tell whether any meet a lens, and where
+TELLING = 64  # photons that tell where
 PHOTONS_A_POINT = 0.125  # wanted
 FEWEST, MOST = 1 << 14, 1 << 15  # of them in any case
 MOST_FLOWN = 1 << 20
@@ -190,18 +191,22 @@ def trace_photons(scene: Transport, points: int, seed: int, threads: int = 0) ->
 
     Their density, flux a unit of area, is the irradiance (W/m^2) that shadow rays miss.
     """
-    photons, rays = _traced(scene, PILOT, seed, threads)
+    photons, rays = _traced(scene, GLANCE, seed, threads)
     if not len(photons.group):
         return photons, rays
-    aimed = scene._replace(emitters=focused(scene.emitters, photons.entry))
-    photons, more = _traced(aimed, PILOT, seed + 1, threads)
+    photons, more = _traced(scene, PILOT, seed, threads)
+    rays += more
+    if len(photons.group) >= TELLING:
+        scene = scene._replace(emitters=focused(scene.emitters, photons.entry))
+        photons, more = _traced(scene, PILOT, seed + 1, threads)
+        rays += more
     wanted = min(max(FEWEST, PHOTONS_A_POINT * points), MOST)
     flown = min(int(PILOT * wanted / max(1, len(photons.group))), MOST_FLOWN)
     if flown > PILOT:  # the first of them are the same
-        photons, others = _traced(aimed, flown, seed + 1, threads)
-        more += others
+        photons, more = _traced(scene, flown, seed + 1, threads)
+        rays += more
     photons.flux[:] *= np.float32(1 / max(flown, PILOT))
-    return photons, rays + more
+    return photons, rays
 
 
 @kernel
