@@ -222,10 +222,9 @@ def direct_stage(
             light = light._replace(glossy=light.glossy + shine, glossy_by_glass=light.glossy_by_glass + by_glass, shine=shine)
             run.rays["shadow"] += rays
         if settings.bounces > 0 and bends_light(tables):
-            sources = (
-                tables._replace(emitters=sampler.emitters) if sampler and tables is every else tables
-            )  # those are aimed at what is seen
-            photons, rays = trace_photons(sources, len(points.position), seed, threads)
+            # The cache's emitters are aimed at what is seen.
+            sources = tables._replace(emitters=sampler.emitters) if sampler and tables is every else tables
+            photons, rays = trace_photons(sources, len(points.position), settings.vpls, seed, threads)
             add_caustics(photons, points, threads, light.irradiance_by_glass)
             run.rays["light"] += rays
         if settings.bounces == 0:  # glass is a bounce

@@ -41,6 +41,7 @@ GLANCE, PILOT = 1 << 14, 1 << 16  # particles that tell whether any meet a lens,
 TELLING = 64  # photons that tell where
 PHOTONS_A_POINT = 0.125  # wanted
 FEWEST, MOST = 1 << 14, 1 << 15  # of them in any case
+VPLS = 4096  # of fewer, as in quick pictures, photons are fewer by the same share
 MOST_FLOWN = 1 << 20
 NEAREST = 48  # photons among which the light of one is spread
 SPARSE = 4.0  # times the median of the distances at which they lie: none is spread farther
@@ -186,8 +187,8 @@ def _traced(scene: Transport, particles: int, seed: int, threads: int) -> tuple[
     return Photons(*(np.concatenate(columns) for columns in zip(*(part for part, _ in parts)))), sum(rays for _, rays in parts)
 
 
-def trace_photons(scene: Transport, points: int, seed: int, threads: int = 0) -> tuple[Photons, int]:
-    """Photons for the light at so many points, none where no lens throws light on anything; and the rays traced.
+def trace_photons(scene: Transport, points: int, vpls: int, seed: int, threads: int = 0) -> tuple[Photons, int]:
+    """Photons for the light at so many points and so many VPLs, none where no lens throws light on anything; and the rays traced.
 
     Their density, flux a unit of area, is the irradiance (W/m^2) that shadow rays miss.
     """
@@ -200,7 +201,7 @@ def trace_photons(scene: Transport, points: int, seed: int, threads: int = 0) ->
         scene = scene._replace(emitters=focused(scene.emitters, photons.entry))
         photons, more = _traced(scene, PILOT, seed + 1, threads)
         rays += more
-    wanted = min(max(FEWEST, PHOTONS_A_POINT * points), MOST)
+    wanted = min(max(FEWEST, PHOTONS_A_POINT * points), MOST) * min(1.0, vpls / VPLS)
     flown = min(int(PILOT * wanted / max(1, len(photons.group))), MOST_FLOWN)
     if flown > PILOT:  # the first of them are the same
         photons, more = _traced(scene, flown, seed + 1, threads)
