@@ -673,6 +673,7 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
             e = emitter_of(emitters, triangle) if triangle >= 0 else -1
             if e < 0 or not (is_hidden_alike(emitters, e) and lights(emitters, e, scene.object, points.triangle[i])):
                 continue
+            er, eg, eb = surface[EMISSION], surface[EMISSION + 1], surface[EMISSION + 2]
             if clear < _1:
                 _, _, _, straight = transmittance1(
                     scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, _SHORT * t, DIFFUSE, np.int64(points.entered[i])
@@ -682,7 +683,7 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
             aimed = aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz)
             density = _gather_density(points.gathered[i], cosine)
             w = cosine * _unevenness(points, i, dx, dy, dz) * share_of(density, aimed) / density
-            r, g, b = w * r * surface[EMISSION], w * g * surface[EMISSION + 1], w * b * surface[EMISSION + 2]
+            r, g, b = w * r * er, w * g * eg, w * b * eb
             if _is_sheen(points, i):
                 r, g, b = _by_sheen(points, i, dx, dy, dz, r, g, b)
             c = 3 * emitters.light_group[e]
