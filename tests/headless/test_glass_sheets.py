@@ -126,3 +126,20 @@ def test_the_back_of_a_sheet_is_a_mirror_beyond_the_critical_angle(facing, input
     expected = np.mean([half["Combined"].mean((0, 1), dtype=float) for half in halves], axis=0)
     got = layers["Combined"].mean((0, 1), dtype=float)
     np.testing.assert_allclose(got, expected, atol=0.03)
+
+
+def test_gather_rays_know_what_shines_behind_a_pane():
+    """A large shining ceiling behind a closed pane lights a floor alike, whether gather rays count for it (importance sampling) or not."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    quad(scene, [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], material("White", Base_Color=(0.5, 0.5, 0.5, 1), Specular_IOR_Level=0.0))
+    slab(scene, -4, 4, -4, 4, 0.5, 0.52, material("Glass", **GLASS))
+    quad(scene, [(-2, -2, 1), (2, -2, 1), (2, 2, 1), (-2, 2, 1)], shader("Shining", "ShaderNodeEmission", Strength=1.0), seen=False)
+    scene.collection.objects[-2].visible_camera = False
+    look(scene, (0, 0, 6), (0, 0, 0), type="ORTHO", ortho_scale=1.8)
+    extracted = extract_scene(scene, size=(16, 16))
+    gathered, aimed = (
+        np.mean(render(extracted, RenderSettings(method=method, bounces=1, denoise=False)).layers["DiffuseIndirect"])
+        for method in ("importance-sampling", "instant-radiosity")
+    )
+    assert gathered == pytest.approx(aimed, rel=0.03)
