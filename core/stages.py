@@ -224,7 +224,7 @@ def direct_stage(
         if settings.bounces > 0 and bends_light(tables):
             # The cache's emitters are aimed at what is seen.
             sources = tables._replace(emitters=sampler.emitters) if sampler and tables is every else tables
-            photons, rays = trace_photons(sources, len(points.position), settings.vpls, seed, threads)
+            photons, rays = trace_photons(sources, points.position, settings.vpls, settings.bounces, seed, threads)
             add_caustics(photons, points, threads, light.irradiance_by_glass)
             run.rays["light"] += rays
         if settings.bounces == 0:  # glass is a bounce

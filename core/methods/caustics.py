@@ -1,36 +1,38 @@
-"""Caustics: the lamps' light that glass bends on its way to what is lit.
+"""Caustics: the lamps' light that glass bends, or that polished surfaces reflect, on its way to what is lit.
 
-A shadow ray goes straight and cannot find it (`surfaces.visibility` tells where a lens is in the way).  Photons do (Jensen 1996,
-"Global Illumination using Photon Maps"): they leave the lamps, are bent by clear glass and scattered by frosted glass, and stay where they
-leave the last lens and land.  Each shines on what lies among its nearest neighbours.  Lamps of no size have none, as in
-Cycles, whose paths cannot meet them by chance.
+A shadow ray goes straight and cannot find what lenses throw (`surfaces.visibility` tells where one is in the way); virtual lights stand for what
+glossy lobes throw, but none is sharper than `particles.SHARPEST`, and close by they are clamped.  Photons find both (Jensen 1996,
+"Global Illumination using Photon Maps"): they leave the lamps, are bent by clear glass and scattered by frosted glass, or reflected by the first
+lobe that they meet, and stay where they land after that.  Each shines on what lies among its nearest neighbours.  Lamps of no size have
+none by lenses and mirrors, as in Cycles, whose paths cannot meet them by chance.
 """
 
 from __future__ import annotations
 
 import math
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..jit import kernel
-from ..lamps.emission import emit, focused
+from ..jit import inlined, kernel
+from ..lamps.emission import FOR_EVER, emit, focused
 from ..lamps.links import lights
-from ..lamps.tables import CASTS_SHADOW, ONE_MINUS_COS, RADIUS
+from ..lamps.shapes import AWAY_FROM_CENTRE
+from ..lamps.tables import CASTS_SHADOW, FADING, ONE_MINUS_COS, RADIUS, SEEN_BY_GLOSSY
+from ..particles import MAX_ADJOINT, faded, reflected
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
 from ..rays.trace import ALL, intersect1
 from ..references import Reference
 from ..sampling.hashing import uniform
 from ..sampling.sequences import sobol
-from ..scene import ANGLED, DIFFUSE, POINT, REFRACTIVE, SPOT, SUN, TRANSPARENT
+from ..scene import ANGLED, DIFFUSE, POINT, REFRACTIVE, SPOT, SUN, TRANSPARENT, bounds
 from ..surfaces.bending import STRAIGHT_ON, bent, scattered
-from ..surfaces.layout import BEND, FROST, REFRACTION, SURFACE, TRANSPARENCY, passing_chance
+from ..surfaces.layout import BEND, FROST, POLISHED, REFRACTION, ROUGHNESS, SURFACE, TRANSPARENCY, passing_chance
 from ..surfaces.lobes import LOBE
 from ..surfaces.microfacet import SMALLEST_ALPHA
-from ..surfaces.normals import shading_normal
+from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import OUTSIDE, evaluate_along, is_lens, passed_glass
 from ..threads import run_chunks
@@ -42,8 +44,9 @@ TELLING = 64  # photons that tell where
 PHOTONS_A_POINT = 0.125  # wanted
 FEWEST, MOST = 1 << 14, 1 << 15  # of them in any case
 VPLS = 4096  # of fewer, as in quick pictures, photons are fewer by the same share
-MOST_FLOWN = 1 << 20
-NEAREST = 48  # photons among which the light of one is spread
+MOST_FLOWN, MOST_BY_LOBES = 1 << 20, 1 << 18  # particles; virtual lights could stand for what lobes throw as well
+NEAREST = 48  # photons among which the light of one is spread that lenses have bent
+NEAREST_BY_LOBES = 128  # the same of what lobes reflect, which is less sharp
 SPARSE = 4.0  # times the median of the distances at which they lie: none is spread farther
 _SURFACES = 32  # that a photon meets at most
 _ALIKE = np.float32(0.7)  # cosine of the normals of a point and of a photon that lights it, at least
@@ -51,14 +54,15 @@ _THICK = np.float32(0.25)  # of that distance: photons so far out of a point's p
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _2 = np.float32(2.0)
+_HALF = np.float32(0.5)
 _INV_PI = np.float32(1 / math.pi)
 
 
 class Photons(NamedTuple):
-    """P photons: where lamps' light has landed that lenses bent.
+    """P photons: where lamps' light has landed that lenses bent or lobes reflected.
 
     position: (P, 3) float32 (m).  normal: (P, 3) float32, geometric, on the lit side.  direction: (P, 3) float32, unit, in which they flew.
-    entry: (P, 3) float32, where they first met glass (m).  flux: (P, 3) float32, W.  group: (P,) int32, their lamps' light groups.
+    entry: (P, 3) float32, where they first met glass, or the lobe (m).  flux: (P, 3) float32, W.  group: (P,) int32, their lamps' light groups.
     """
 
     position: np.ndarray
@@ -73,6 +77,10 @@ class Photons(NamedTuple):
         """Room for n photons, not set."""
         return Photons(*(np.empty((n, 3), np.float32) for _ in range(5)), np.empty(n, np.int32))
 
+    def take(self, index) -> Photons:
+        """The photons at `index` (anything that indexes an array)."""
+        return Photons(*(np.ascontiguousarray(a[index]) for a in self))
+
 
 def bends_light(scene: Transport) -> bool:
     """Whether there is glass at all, and light to bend."""
@@ -80,8 +88,11 @@ def bends_light(scene: Transport) -> bool:
 
 
 @kernel
-def _fly(scene, begin, end, seed, photons):
-    """Fly the particles begin..end-1 through glass -> (how many photons they leave, rays traced)."""
+def _fly(scene, begin, end, seed, lobes, bounces, photons):
+    """Fly the particles begin..end-1 through lenses, or by way of `lobes` -> (how many photons they leave, rays traced).
+
+    bounces: as of the picture; to have come through glass counts as one.
+    """
     packet = new_packet()
     rows = new_registers(scene.materials)
     surface = np.zeros(SURFACE, np.float32)
@@ -92,14 +103,17 @@ def _fly(scene, begin, end, seed, photons):
         e, ox, oy, oz, dx, dy, dz, r, g, b, near, far, before = emit(
             emitters, rows, surface, sobol(i, 0, seed), sobol(i, 1, seed), sobol(i, 2, seed), sobol(i, 3, seed), sobol(i, 4, seed)
         )
-        if e < 0 or not max(r, g, b) > _0 or not emitters.flags[e] & CASTS_SHADOW:
+        if e < 0 or not max(r, g, b) > _0 or not emitters.flags[e] & (SEEN_BY_GLOSSY if lobes else CASTS_SHADOW):
             continue
         kind = emitters.kind[e]
-        if ((kind == POINT or kind == SPOT) and not emitters.lamps[e, RADIUS] > _0) or (
+        sizeless = ((kind == POINT or kind == SPOT) and not emitters.lamps[e, RADIUS] > _0) or (
             kind == SUN and not emitters.lamps[e, ONE_MINUS_COS] > _0
-        ):
+        )
+        if sizeless and not lobes:
             continue
-        kinds = DIFFUSE | emitters.shadow_kinds[e]
+        hides = emitters.shadow_kinds[e]
+        kinds = DIFFUSE | hides
+        thrown = False
         ax, ay, az = dx, dy, dz  # the straight way
         x = y = z = qx = qy = qz = flown = _0
         glasses = 0
@@ -108,14 +122,24 @@ def _fly(scene, begin, end, seed, photons):
             rays += 1
             triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, dx, dy, dz, _0, np.float32(np.inf), kinds)
             flown += t
-            if triangle < 0 or (glasses == 0 and flown > far):
+            if triangle < 0 or (glasses == 0 and not thrown and flown > far):
                 break
             px, py, pz, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
             behind = gx * dx + gy * dy + gz * dz > _0
             flags = scene.materials.flags[scene.material[triangle]]
             seen = scene.object_visibility[scene.object[triangle]]
             passes = flags & TRANSPARENT != 0
-            if passes:
+            receives = seen & DIFFUSE != 0 and (thrown or lights(emitters, e, scene.object, triangle))
+            if lobes and not thrown and not (seen & hides and emitters.flags[e] & CASTS_SHADOW):
+                # It is lit, and so is what lies behind it: the particle does one or the other.
+                if not receives or uniform(seed, i, layer, 19) < _HALF:
+                    passes = True
+                if receives:
+                    r, g, b = _2 * r, _2 * g, _2 * b
+                if passes:
+                    ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
+                    continue
+            elif passes:
                 evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
                 chance = passing_chance(surface, flags & ANGLED != 0)
                 passes = uniform(seed, i, layer, 16) < chance
@@ -133,10 +157,40 @@ def _fly(scene, begin, end, seed, photons):
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
                     continue
             if not passes:
-                if glasses == 0 or not is_lens(glasses, x, y, z, ax, ay, az) or flown < before + near:
+                bends = glasses > 0 and is_lens(glasses, x, y, z, ax, ay, az)
+                # What is within a solid is lit by straight rays; what glass itself throws is reflected outside of it.
+                if not receives or (flags & REFRACTIVE and (behind or thrown or not lobes)) or (not thrown and flown < before + near):
                     break
-                # What glass keeps it mirrors, and what is within a solid is lit by straight rays.
-                if not seen & DIFFUSE or flags & REFRACTIVE or not lights(emitters, e, scene.object, triangle):
+                if lobes and not thrown:
+                    if bends or (glasses > 0 and bounces < 2):
+                        break
+                    if not flags & TRANSPARENT:
+                        evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
+                    if not surface[ROUGHNESS] < POLISHED or (sizeless and not surface[ROUGHNESS] * surface[ROUGHNESS] > SMALLEST_ALPHA):
+                        break
+                    nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+                    nx, ny, nz = mapped_normal(scene.materials, scene.material[triangle], surface, nx, ny, nz)
+                    if behind:
+                        gx, gy, gz, nx, ny, nz = -gx, -gy, -gz, -nx, -ny, -nz
+                    cos_g, cos_s = gx * dx + gy * dy + gz * dz, nx * dx + ny * dy + nz * dz
+                    if not cos_g < _0:
+                        break
+                    w = min(MAX_ADJOINT, max(_0, cos_s / cos_g))
+                    if emitters.flags[e] & FADING:
+                        w *= faded(emitters, e, near, flown - before)
+                    if kind == SPOT and _2 * flown < far < FOR_EVER:
+                        w *= AWAY_FROM_CENTRE
+                    dx, dy, dz, kr, kg, kb = reflected(
+                        surface, lobe, nx, ny, nz, gx, gy, gz, dx, dy, dz, sobol(i, 5, seed), sobol(i, 6, seed)
+                    )
+                    r, g, b = w * kr * r, w * kg * g, w * kb * b
+                    if not max(r, g, b) > _0:
+                        break
+                    qx, qy, qz = px, py, pz
+                    ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
+                    thrown, entered, kinds = True, OUTSIDE, DIFFUSE
+                    continue
+                if not (bends or thrown):
                     break
                 side = -_1 if behind else _1
                 photons.position[n, 0], photons.position[n, 1], photons.position[n, 2] = px, py, pz
@@ -151,7 +205,7 @@ def _fly(scene, begin, end, seed, photons):
             if seen & DIFFUSE and surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2] > _0:
                 nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, _0, _0, _0)
                 x, y, z = x + nx, y + ny, z + nz
-                if glasses == 0:
+                if glasses == 0 and not lobes:
                     qx, qy, qz = px, py, pz
                 glasses += 1
                 material = scene.material[triangle]
@@ -175,88 +229,167 @@ def _fly(scene, begin, end, seed, photons):
     return n, rays
 
 
-def _traced(scene: Transport, particles: int, seed: int, threads: int) -> tuple[Photons, int]:
+def _traced(scene: Transport, particles: int, seed: int, threads: int, lobes: bool, bounces: int) -> tuple[Photons, int]:
     """Photons of so many particles, whose flux is still times the number of particles, and the rays traced."""
 
     def work(begin, end):
         room = Photons.allocate(end - begin)
-        n, rays = _fly(scene, begin, end, np.uint32(seed), room)
+        n, rays = _fly(scene, begin, end, np.uint32(seed), lobes, bounces, room)
         return Photons(*(column[:n] for column in room)), rays
 
     parts = run_chunks(work, particles, CHUNK, threads)
     return Photons(*(np.concatenate(columns) for columns in zip(*(part for part, _ in parts)))), sum(rays for _, rays in parts)
 
 
-def trace_photons(scene: Transport, points: int, vpls: int, seed: int, threads: int = 0) -> tuple[Photons, int]:
-    """Photons for the light at so many points and so many VPLs, none where no lens throws light on anything; and the rays traced.
+def trace_photons(
+    scene: Transport, position: np.ndarray, vpls: int, bounces: int, seed: int, threads: int = 0, *, lobes: bool = False
+) -> tuple[Photons, int]:
+    """Photons for the light at points (N, 3) beside so many VPLs, none where nothing throws light on anything; and the rays traced.
 
-    Their density, flux a unit of area, is the irradiance (W/m^2) that shadow rays miss.
+    Their density, flux a unit of area, is the irradiance (W/m^2) that shadow rays miss; or, with `lobes`, what polished surfaces reflect
+    of the lamps' light at first hand.  bounces: as of the picture.
     """
-    photons, rays = _traced(scene, GLANCE, seed, threads)
-    if not len(photons.group):
-        return photons, rays
-    photons, more = _traced(scene, PILOT, seed, threads)
+    low, high = bounds(position)
+    how = threads, lobes, bounces
+
+    def wanted_of(photons: Photons) -> np.ndarray:
+        return ((photons.position >= low) & (photons.position <= high)).all(axis=1)
+
+    photons, rays = _traced(scene, GLANCE, seed, *how)
+    if not wanted_of(photons).any():
+        return photons.take(slice(0, 0)), rays
+    photons, more = _traced(scene, PILOT, seed, *how)
     rays += more
-    if len(photons.group) >= TELLING:
-        scene = scene._replace(emitters=focused(scene.emitters, photons.entry))
-        photons, more = _traced(scene, PILOT, seed + 1, threads)
+    telling = wanted_of(photons)
+    if np.count_nonzero(telling) >= TELLING:
+        scene = scene._replace(emitters=focused(scene.emitters, photons.entry[telling]))
+        photons, more = _traced(scene, PILOT, seed + 1, *how)
         rays += more
-    wanted = min(max(FEWEST, PHOTONS_A_POINT * points), MOST) * min(1.0, vpls / VPLS)
-    flown = min(int(PILOT * wanted / max(1, len(photons.group))), MOST_FLOWN)
+    wanted = min(max(FEWEST, PHOTONS_A_POINT * len(position)), MOST) * min(1.0, vpls / VPLS)
+    flown = min(int(PILOT * wanted / max(1, np.count_nonzero(wanted_of(photons)))), MOST_BY_LOBES if lobes else MOST_FLOWN)
     if flown > PILOT:  # the first of them are the same
-        photons, more = _traced(scene, flown, seed + 1, threads)
+        photons, more = _traced(scene, flown, seed + 1, *how)
         rays += more
     photons.flux[:] *= np.float32(1 / max(flown, PILOT))
     return photons, rays
 
 
+class _Grid(NamedTuple):
+    """P photons in cells at least as wide as the disks that they light, one size of them for each power of two.
+
+    radius: (P,) float32, of the disks (m).  cell: (P,) uint64, where they lie.  start: (H + 1,) int64, rows of the photons in each
+    of H slots, a power of two.  origin: (3,) float32, of the cells.  edge: (L,) float32, their sides (m).  box: (L, 2, 3) float32, what each size lights.
+    """
+
+    radius: np.ndarray
+    cell: np.ndarray
+    start: np.ndarray
+    origin: np.ndarray
+    edge: np.ndarray
+    box: np.ndarray
+
+
+@inlined
+def _cell(level, ix, iy, iz):
+    """Of a size, by its place: one integer."""
+    mixed = (np.uint64(ix) * np.uint64(0x9E3779B97F4A7C15)) ^ (np.uint64(iy) * np.uint64(0xC2B2AE3D27D4EB4F))
+    return (mixed ^ (np.uint64(iz) * np.uint64(0x165667B19E3779F9))) * np.uint64(0xD1B54A32D192ED03) + np.uint64(level)
+
+
+@inlined
+def _slot(cell, slots):
+    return np.int64((cell >> np.uint64(24)) & np.uint64(slots - 1))
+
+
 @kernel
-def _spread(photons, radius, first, points, lit, out):
-    """Adds the irradiance by each photon p, evenly bright but for Epanechnikov's kernel of its `radius` (P,), to the rows lit[first[p]:first[p + 1]] of `out`."""
-    for p in range(len(radius)):
-        inverse = _1 / (radius[p] * radius[p])
-        dx, dy, dz = photons.direction[p, 0], photons.direction[p, 1], photons.direction[p, 2]
-        cos_g = -(photons.normal[p, 0] * dx + photons.normal[p, 1] * dy + photons.normal[p, 2] * dz)
-        if not cos_g > _0:
-            continue
-        c = 3 * photons.group[p]
-        for k in range(first[p], first[p + 1]):
-            i = lit[k]
-            nx, ny, nz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
-            if nx * photons.normal[p, 0] + ny * photons.normal[p, 1] + nz * photons.normal[p, 2] < _ALIKE:
+def _cells(position, level, origin, edge, cell):
+    for p in range(len(level)):
+        inverse = _1 / edge[level[p]]
+        cell[p] = _cell(
+            level[p],
+            np.int64(math.floor((position[p, 0] - origin[0]) * inverse)),
+            np.int64(math.floor((position[p, 1] - origin[1]) * inverse)),
+            np.int64(math.floor((position[p, 2] - origin[2]) * inverse)),
+        )
+
+
+def _arranged(photons: Photons, radius: np.ndarray) -> tuple[Photons, _Grid]:
+    """Photons with the radius (P,) of what they light, cell by cell."""
+    finest = radius.min()
+    level = np.ceil(np.log2(radius / finest) - 1e-3).astype(np.int64)
+    kinds, level = np.unique(level, return_inverse=True)
+    edge = (2.02 * finest * 2.0**kinds).astype(np.float32)
+    box = np.empty((len(kinds), 2, 3), np.float32)
+    for k in range(len(kinds)):
+        near = photons.position[level == k]
+        box[k] = near.min(axis=0) - edge[k], near.max(axis=0) + edge[k]
+    cell = np.empty(len(level), np.uint64)
+    origin = photons.position.min(axis=0)
+    _cells(photons.position, level, origin, edge, cell)
+    slots = 1 << int(2 * len(level)).bit_length()
+    slot = ((cell >> np.uint64(24)) & np.uint64(slots - 1)).astype(np.int64)
+    order = np.argsort(slot, kind="stable")
+    start = np.zeros(slots + 1, np.int64)
+    np.cumsum(np.bincount(slot, minlength=slots), out=start[1:])
+    return photons.take(order), _Grid(radius[order], cell[order], start, origin, edge, box)
+
+
+@kernel
+def _light(photons, grid, points, lit, begin, end, out):
+    """Adds the irradiance by photons, each evenly bright but for Epanechnikov's kernel of its radius, to the rows lit[begin..end-1] of `out`."""
+    slots = len(grid.start) - 1
+    for row in range(begin, end):
+        i = lit[row]
+        x, y, z = points.position[i, 0], points.position[i, 1], points.position[i, 2]
+        nx, ny, nz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
+        for level in range(len(grid.edge)):
+            box = grid.box[level]
+            if x < box[0, 0] or y < box[0, 1] or z < box[0, 2] or x > box[1, 0] or y > box[1, 1] or z > box[1, 2]:
                 continue
-            x, y, z = (
-                photons.position[p, 0] - points.position[i, 0],
-                photons.position[p, 1] - points.position[i, 1],
-                photons.position[p, 2] - points.position[i, 2],
+            inverse = _1 / grid.edge[level]
+            bx, by, bz = (
+                np.int64(math.floor((x - grid.origin[0]) * inverse - _HALF)),
+                np.int64(math.floor((y - grid.origin[1]) * inverse - _HALF)),
+                np.int64(math.floor((z - grid.origin[2]) * inverse - _HALF)),
             )
-            if abs(nx * x + ny * y + nz * z) > _THICK * radius[p]:
-                continue
-            cos_s = -(points.ns[i, 0] * dx + points.ns[i, 1] * dy + points.ns[i, 2] * dz)
-            w = _2 * _INV_PI * inverse * max(_0, _1 - (x * x + y * y + z * z) * inverse) * min(_2, max(_0, cos_s / cos_g))
-            out[i, c] += w * photons.flux[p, 0]
-            out[i, c + 1] += w * photons.flux[p, 1]
-            out[i, c + 2] += w * photons.flux[p, 2]
+            for corner in range(8):
+                cell = _cell(level, bx + (corner & 1), by + (corner >> 1 & 1), bz + (corner >> 2))
+                slot = _slot(cell, slots)
+                for p in range(grid.start[slot], grid.start[slot + 1]):
+                    if grid.cell[p] != cell:
+                        continue
+                    ax, ay, az = photons.position[p, 0] - x, photons.position[p, 1] - y, photons.position[p, 2] - z
+                    inverse2 = _1 / (grid.radius[p] * grid.radius[p])
+                    falls = _1 - (ax * ax + ay * ay + az * az) * inverse2
+                    if not falls > _0:
+                        continue
+                    mx, my, mz = photons.normal[p, 0], photons.normal[p, 1], photons.normal[p, 2]
+                    if nx * mx + ny * my + nz * mz < _ALIKE or abs(nx * ax + ny * ay + nz * az) > _THICK * grid.radius[p]:
+                        continue
+                    dx, dy, dz = photons.direction[p, 0], photons.direction[p, 1], photons.direction[p, 2]
+                    cos_g = -(mx * dx + my * dy + mz * dz)
+                    cos_s = -(points.ns[i, 0] * dx + points.ns[i, 1] * dy + points.ns[i, 2] * dz)
+                    if not (cos_g > _0 and cos_s > _0):
+                        continue
+                    w = _2 * _INV_PI * inverse2 * falls * min(_2, cos_s / cos_g)
+                    c = 3 * photons.group[p]
+                    out[i, c] += w * photons.flux[p, 0]
+                    out[i, c + 1] += w * photons.flux[p, 1]
+                    out[i, c + 2] += w * photons.flux[p, 2]
 
 
-def add_caustics(photons: Photons, points, threads: int, out: np.ndarray) -> None:
+def add_caustics(photons: Photons, points, threads: int, out: np.ndarray, nearest: int = NEAREST) -> None:
     """Add the irradiance by photons to `out`, (N, 3 G) W/m^2, at N points (with the arrays position, ns and ng).
 
-    Each photon lights a disk that reaches to its `NEAREST` neighbours, so that all of its light arrives; by the nearest photons of each
+    Each photon lights a disk that reaches to its `nearest` neighbours, so that all of its light arrives; by the nearest photons of each
     point instead, dark surroundings would shine.
     """
-    if len(photons.group) <= NEAREST or not len(points.position):
+    if len(photons.group) <= nearest or not len(points.position):
         return
-    radius = cKDTree(photons.position).query(photons.position, [NEAREST + 1], workers=threads)[0][:, 0]
+    radius = cKDTree(photons.position).query(photons.position, [nearest + 1], workers=threads or -1)[0][:, 0]
     radius = np.clip(radius, 1e-9, SPARSE * np.median(radius)).astype(np.float32)
     low, high = (photons.position - radius[:, None]).min(axis=0), (photons.position + radius[:, None]).max(axis=0)
-    near = np.flatnonzero(((points.position >= low) & (points.position <= high)).all(axis=1))
-    if not len(near):
-        return
-    tree = cKDTree(points.position[near])
-    for begin in range(0, len(radius), CHUNK):  # what each batch finds is in memory at once
-        part = slice(begin, begin + CHUNK)
-        found = tree.query_ball_point(photons.position[part], radius[part], workers=threads)
-        first = np.cumsum([0, *map(len, found)])
-        lit = near[np.fromiter(chain.from_iterable(found), np.int64, first[-1])]
-        _spread(Reference(Photons(*(column[part] for column in photons))), radius[part], first, Reference(points), lit, out)
+    lit = np.flatnonzero(((points.position >= low) & (points.position <= high)).all(axis=1))
+    arranged, grid = (Reference(table) for table in _arranged(photons, radius))
+    receivers = Reference(points)
+    run_chunks(lambda begin, end: _light(arranged, grid, receivers, lit, begin, end, out), len(lit), CHUNK, threads)

@@ -21,7 +21,7 @@ from ..jit import inlined, kernel, leaf
 from ..lamps import focus_share, focused
 from ..lamps.direct import set_point_lobe
 from ..lamps.escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray
-from ..particles import BRIGHTEST, Vpls, is_ahead, trace_by_power
+from ..particles import BRIGHTEST, CAUSTIC, Vpls, is_ahead, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
 from ..rays.packet import (
@@ -55,6 +55,7 @@ from ..threads import Progress, part, run_chunks
 from ..transport import Transport, is_translucent
 from ..view.points import ShadingPoints, is_transmitting, shares
 from ..vpl_pool import BATCH_SEED, Particles, vpl_pool
+from .caustics import NEAREST_BY_LOBES, Photons, add_caustics, trace_photons
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
@@ -62,7 +63,7 @@ from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, Probes, build_light_cache,
 from .partition import strengths, trusted
 from .probes import Tracer, trace_farther, trace_probes
 from .tails import path_light
-from .thrown import redirected, throwing
+from .thrown import caustic_share, redirected, throwing
 from .wide_lobes import WIDE_ALPHA, SharedRays, bound, drawn_share, gather_density, is_mirror, is_wide, known_light
 
 CHUNK = 1024  # points a chunk
@@ -89,6 +90,8 @@ RELIABLE = 20.0
 NEVER_STRONG = 0.5  # of a strong light: where none is more, all are trusted
 HUGE = 1e30  # a clamp that bounds nothing, and times a light of no power is none
 BATCHES = 4  # of particles: those whose light gather rays carry need not be many
+FEWEST_PHOTONS = 1000
+WORTH_PHOTONS = 0.02  # of the view's light, thrown by polished surfaces
 _WEIGHT, _CARRIED, _REACH, _GLOSSY, _SEEN = 0, 3, 4, 5, 6  # columns of what a gather ray counts for a wide lobe, and is to Cycles
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -249,6 +252,7 @@ def _gathered(
             cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
         )  # fmt: skip
         own = sheen = whole = _1
+        polish = cache.polish
         more = _0
         if len(cache.radiosity) > bounces:
             more = _1 if is_transmitting(points, k) else seen[lane, _GLOSSY]  # to come through counts as no bounce
@@ -257,9 +261,9 @@ def _gathered(
             clamped = min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
             if t > near:
                 for c in range(0, out.shape[1], 3):
-                    out[k, c] += wr * (cache.sent[cell, c] - clamped * cache.lit[cell, c])
-                    out[k, c + 1] += wg * (cache.sent[cell, c + 1] - clamped * cache.lit[cell, c + 1])
-                    out[k, c + 2] += wb * (cache.sent[cell, c + 2] - clamped * cache.lit[cell, c + 2])
+                    out[k, c] += wr * (cache.dull[cell, c] - clamped * cache.lit[cell, c])
+                    out[k, c + 1] += wg * (cache.dull[cell, c + 1] - clamped * cache.lit[cell, c + 1])
+                    out[k, c + 2] += wb * (cache.dull[cell, c + 2] - clamped * cache.lit[cell, c + 2])
                     if more > _0:
                         out[k, c] += more * wr * (cache.radiosity[bounces, cell, c] - cache.radiosity[bounces - 1, cell, c])
                         out[k, c + 1] += more * wg * (cache.radiosity[bounces, cell, c + 1] - cache.radiosity[bounces - 1, cell, c + 1])
@@ -275,8 +279,9 @@ def _gathered(
             rest = max(_1 - cache.later * share, np.float32(1e-6))
             wr, wg, wb = wr * rest, wg * rest, wb * rest
             own, sheen, whole = (_1 - share) / rest, (_1 - cache.trust[cell] * clamped) / rest, _1 / rest
+            polish = sheen if polish > _0 else _0
         if veiled and encloses(scene.materials.flags[scene.material[triangle]], behind):
-            sheen = _0
+            sheen = polish = _0
         if not veiled:
             evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
@@ -285,7 +290,7 @@ def _gathered(
             sx, sy, sz = -sx, -sy, -sz
         path_light(
             scene, single, rows, surface, lobe, cache, near, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered,
-            bounces + np.int64(uniform(seed, path, 3, 2) < more), seed, path, out, k, wr, wg, wb, own, sheen, whole,
+            bounces + np.int64(uniform(seed, path, 3, 2) < more), seed, path, out, k, wr, wg, wb, own, sheen, polish, whole,
         )  # fmt: skip
 
 
@@ -504,6 +509,7 @@ class ImportanceSampling:
         self.lights: np.ndarray | None = None  # until `prepare`
         self.shared: SharedRays | None = None
         self.gathered: GatherRays | None = None
+        self.photons: Photons | None = None  # where polished surfaces throw light on what is seen
 
     def cache_light(
         self,
@@ -561,7 +567,8 @@ class ImportanceSampling:
         cell = look_up(self.cache, vpls.position, vpls.surface_normal, vpls.side, self.seed + 2)
         share = self.cache.share[cell] * np.where(vpls.bounce == 1, np.float32(1), self.cache.later)
         # What a glossy surface reflects of the lamps has a direction, which the cache does not know.
-        return np.where(cell >= 0, np.where(vpls.shine > 0, self.cache.trust[cell], share), np.float32(0))
+        shine = np.where(vpls.shine == CAUSTIC, self.cache.polish, np.float32(1)) * self.cache.trust[cell]
+        return np.where(cell >= 0, np.where(vpls.shine > 0, shine, share), np.float32(0))
 
     def _weigh(self, vpls: Vpls) -> None:
         """Leaves light to the gather rays from where lights are too strong, by the first of them."""
@@ -594,6 +601,7 @@ class ImportanceSampling:
         """
         scene = scene._replace(emitters=self.emitters)
         thrown_on = throwing(self.probes, self.links, self.cache)
+        photon_rays = self._trace_photons(scene, points, count, self.seed if turn is None else self.seed + BATCH_SEED * turn)
         vpls, counts = vpl_pool(
             scene,
             points,
@@ -615,13 +623,26 @@ class ImportanceSampling:
         order = np.argsort(morton_codes(vpls.position), kind="stable") if len(vpls.bounce) else np.zeros(0, np.int64)
         self.vpls = vpls.take(order)
         self.lights = light_table(self.vpls, max(1, round(len(order) / SUBSET)))
+        counts["light"] += photon_rays
         counts["shadow"] += self._redirect(thrown_on)
         return self.vpls, counts
+
+    def _trace_photons(self, scene: Transport, points: ShadingPoints, count: int, seed: int) -> int:
+        """Traces photons in place of virtual lights and gather rays where polished surfaces throw much of the light; the rays."""
+        if caustic_share(self.probes, self.links, self.cache) < WORTH_PHOTONS:
+            return 0
+        photons, rays = trace_photons(scene, points.position, count, self.bounces, seed + 6, self.threads, lobes=True)
+        if len(photons.group) > FEWEST_PHOTONS:
+            self.photons = photons
+            cache, caustic = self.cache, self.links.caustic
+            lit = np.maximum(0, cache.lit - cache.trust[:, None] * caustic)
+            self.cache = cache._replace(lit=lit, dull=np.maximum(0, cache.dull - caustic), polish=np.float32(0))
+        return rays
 
     def _redirect(self, first: np.ndarray) -> int:
         """Tells the cache where lobes throw the lamps' light, of the probes `first` (P,); the shadow rays traced."""
         vpls, n = self.vpls.take(self.vpls.shine > 0), len(first)
-        if not (n and len(vpls.bounce)):
+        if not (n and (len(vpls.bounce) or self.photons)):
             return 0
         points = ShadingPoints.allocate(n)
         points.position[:], points.error[:] = self.probes.position[first], self.probes.error[first]
@@ -637,10 +658,13 @@ class ImportanceSampling:
                 np.uint32(self.seed + 5), 0, irradiance, irradiance, *scratch,
             )  # fmt: skip
 
-        rays = sum(run_chunks(work, n, CHUNK, self.threads))
+        rays = sum(run_chunks(work, n, CHUNK, self.threads)) if lights.size else 0
+        if self.photons:
+            add_caustics(self.photons, points, self.threads, irradiance, NEAREST_BY_LOBES)
         self.cache = redirected(
-            self.cache, Reference(self.probes), Reference(self.links), first, irradiance, self.g_max, self.bounces, self.threads
-        )
+            self.cache, Reference(self.probes), Reference(self.links), first, irradiance, self.g_max, self.bounces, self.threads,
+            by_photons=self.photons is not None,
+        )  # fmt: skip
         self.links = self.links._replace(shine=self.links.shine[:0])  # once is enough
         self.pairs += n * lights.shape[2]
         return rays
@@ -686,6 +710,8 @@ class ImportanceSampling:
             return rays
 
         self.rays += sum(run_chunks(work, n, CHUNK, self.threads, progress))
+        if self.photons:
+            add_caustics(self.photons, points, self.threads, out, NEAREST_BY_LOBES)
         self.found = sights, parts, gathered
         self.gathered = GatherRays(gather, met, self.seed + 3, first)
         looks = np.minimum(np.maximum(1, samples // PICKS), len(self.lights))

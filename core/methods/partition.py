@@ -19,19 +19,19 @@ _1 = np.float32(1.0)
 
 
 def divided(
-    halves: np.ndarray, shine: np.ndarray, first: np.ndarray, beneath: np.ndarray, counts: np.ndarray, bright: np.ndarray, number: np.ndarray,
+    halves: np.ndarray, shine: np.ndarray, caustic: np.ndarray, first: np.ndarray, beneath: np.ndarray, counts: np.ndarray, bright: np.ndarray, number: np.ndarray,
     tau: np.float32, parent: np.ndarray, later: np.float32, relied: np.float32,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """`sent` (C, 3 G), `lit` (C, 3 G) and `share` (C,) of a light cache.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """`sent` (C, 3 G) and `lit` (C, 3 G) of a light cache, `caustic` (C, 3 G) of its links, and `share` (C,).
 
     halves: (2, C, 3 G) W/m^2, the light that gather rays look up, as half of the paths tells it.  shine: (2, C, 3 G), the part of that
-    which virtual lights carry in any case.  first: (2, C, 3 G), the part of it that has left no other surface before; of the rest, lights carry
+    which virtual lights carry in any case.  caustic: (2, C, 3 G), the part of `shine` that polished lobes reflect.  first: (2, C, 3 G), the part of it that has left no other surface before; of the rest, lights carry
     `later` times what they else would.  beneath: (2, C, 3 G), the part of `first` that they have none of.  counts: (2, C), how much of each cell either half knows, 1 in all.  bright: (2, C), how
     bright each cell is as the *other* half tells it.  number: (C,), the weight of each cell's probes.  parent: (C,), the next coarser
     cell, -1 for none.  relied: the part of all other light that lights carry, too.
     """
-    sent, lit, share = np.zeros_like(halves[0]), np.zeros_like(halves[0]), np.zeros(len(parent), np.float32)
-    rare = np.zeros_like(halves)
+    sent, lit, thrown, share = *(np.zeros_like(halves[0]) for _ in range(3)), np.zeros(len(parent), np.float32)
+    rare = np.zeros((3, *sent.shape), np.float32)
     for h in range(2):
         part = bright[h] / (bright[h] + tau)
         part += relied * (_1 - part)
@@ -43,13 +43,12 @@ def divided(
         direct = known - counts[h][:, None] * beneath[h]
         lights = part[:, None] * (direct + later * (light - known)) + (counts[h] * (_1 - part))[:, None] * shine[h]
         share += counts[h] * part
-        sent += (_1 - beyond) * light
-        lit += (_1 - beyond) * lights
-        rare[0] += beyond * light
-        rare[1] += beyond * lights
-    sent += _spread(rare[0], number, parent)
-    lit += _spread(rare[1], number, parent)
-    return sent, lit, share
+        for part_of, out, aside in ((light, sent, rare[0]), (lights, lit, rare[1]), (counts[h][:, None] * caustic[h], thrown, rare[2])):
+            out += (_1 - beyond) * part_of
+            aside += beyond * part_of
+    for out, aside in zip((sent, lit, thrown), rare, strict=True):
+        out += _spread(aside, number, parent)
+    return sent, lit, thrown, share
 
 
 def strengths(flux: np.ndarray, tau: float, places: np.ndarray) -> np.ndarray:

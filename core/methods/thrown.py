@@ -22,8 +22,8 @@ _1 = np.float32(1.0)
 
 
 @kernel
-def _linked(probes, first, links, trust, g_max, carried):
-    """Of each probe first[i] (P,) into row i of `carried` (P, 3 G), W/m^2: light that has come from lobes over its link, as far as virtual lights have it."""
+def _linked(probes, first, links, trust, g_max, by_photons, carried):
+    """Of each probe first[i] (P,) into row i of `carried` (P, 3 G), W/m^2: light that has come from lobes over its link, as far as virtual lights have it, or photons."""
     for i in range(len(first)):
         p = first[i]
         cell = links.link_cell[p]
@@ -40,7 +40,8 @@ def _linked(probes, first, links, trust, g_max, carried):
         part = trust[cell] * min(_1, g_max * r2 * r2 / max(abs(here * there), np.float32(1e-30)))
         for c in range(0, carried.shape[1], 3):
             for k in range(3):
-                carried[i, c + k] = part * probes.carry[p, k] * links.shine[cell, c + k]
+                caustic = links.caustic[cell, c + k] if by_photons else _0
+                carried[i, c + k] = probes.carry[p, k] * (part * (links.shine[cell, c + k] - caustic) + caustic)
 
 
 def throwing(probes: Probes, links: Links, cache: LightCache) -> np.ndarray:
@@ -60,6 +61,16 @@ def throwing(probes: Probes, links: Links, cache: LightCache) -> np.ndarray:
         return none
     first = first[probes.valid[first] > 0]
     return first[:: -(-len(first) // ENOUGH)]
+
+
+def caustic_share(probes: Probes, links: Links, cache: LightCache) -> float:
+    """The part of all light that visible points get of other surfaces which polished ones reflect of the lamps, spread as by diffuse ones."""
+    if not len(links.caustic):
+        return 0.0
+    first = np.arange(0, len(probes.valid), DEPTH)
+    cells = links.cells[first[probes.valid[first] > 0], 0]
+    polished, whole = (float(_grey(light)[cells].sum(dtype=np.float64)) for light in (links.caustic, cache.radiosity[-1]))
+    return polished / whole if whole > 0 else 0.0
 
 
 def _grey(light: np.ndarray) -> np.ndarray:
@@ -104,15 +115,18 @@ def redirected(
     g_max: np.float32,
     bounces: int,
     threads: int = 0,
+    *,
+    by_photons: bool = False,
 ) -> LightCache:
     """The cache with what lobes throw on the probes `first` (P,) where it falls.
 
-    irradiance: (P, 3 G) W/m^2, by virtual lights that stand for lamps' light that lobes reflect.  g_max: the clamp of their geometry term.
+    irradiance: (P, 3 G) W/m^2, by virtual lights that stand for lamps' light that lobes reflect, and by photons for that by polished ones where
+    `by_photons`.  g_max: the clamp of the lights' geometry term.
     bounces: surfaces that the light has left which gather rays look up, at most.
     """
     groups = irradiance.shape[1] // 3
     carried = np.zeros_like(irradiance)
-    _linked(probes, first, links, cache.trust, g_max, carried)
+    _linked(probes, first, links, cache.trust, g_max, by_photons, carried)
     albedo, weight = np.tile(probes.albedo[first], groups), links.weight[first, None]
     # What cells reflect of it, and the irradiance itself.
     gains = [albedo * irradiance - carried, irradiance - np.divide(carried, albedo, out=np.zeros_like(carried), where=albedo > 0)]
@@ -122,4 +136,4 @@ def redirected(
     radiosity = np.maximum(_0, cache.radiosity + rows)
     more = np.maximum(rows[bounces - 1], -cache.sent)
     lit = np.maximum(_0, cache.lit + cache.later * cache.share[:, None] * more)
-    return cache._replace(radiosity=radiosity, sent=cache.sent + more, lit=lit, gain=np.ascontiguousarray(gain))
+    return cache._replace(radiosity=radiosity, sent=cache.sent + more, dull=cache.dull + more, lit=lit, gain=np.ascontiguousarray(gain))

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from lumigate.core.methods.caustics import NEAREST, Photons, add_caustics
+from scipy.spatial import cKDTree
+
+from lumigate.core.methods.caustics import NEAREST, SPARSE, Photons, add_caustics
 from lumigate.core.view.points import ShadingPoints
 
 SIDE, PITCH = 81, 0.05  # points in a grid of 4 m, so far apart (m)
@@ -57,3 +59,32 @@ def test_what_lies_above_stays_dark():
 
 def test_so_few_photons_tell_nothing():
     assert not lit(spot(NEAREST, 0.3), plane()).any()
+
+
+def one_by_one(photons, points, radius):
+    """Irradiance (N, 3), by every photon on every point."""
+    out = np.zeros((len(points.pixel), 3))
+    for p in range(len(radius)):
+        away = (photons.position[p] - points.position).astype(np.float64)
+        falls = 1 - (away**2).sum(axis=1) / radius[p] ** 2
+        alike = (points.ng @ photons.normal[p] > 0.7) & (np.abs((points.ng * away).sum(axis=1)) <= 0.25 * radius[p])
+        cosines = points.ns @ -photons.direction[p] / (photons.normal[p] @ -photons.direction[p])
+        weight = 2 / np.pi / radius[p] ** 2 * np.maximum(falls, 0) * np.clip(cosines, 0, 2)
+        out += np.where(alike, weight, 0)[:, None] * photons.flux[p]
+    return out
+
+
+@pytest.mark.parametrize("far", [0.0, 5000.0])
+def test_what_each_photon_lights_is_found(far):
+    points, rng = plane(), np.random.default_rng(2)
+    photons = spot(600, 0.6)
+    photons.position[300:, :2] = rng.normal(0.5, 0.002, (300, 2))  # a focus beside dim light: many sizes of disks
+    slant = rng.normal((0, 0, -1), 0.3, (600, 3))
+    photons.direction[:] = slant / np.linalg.norm(slant, axis=1)[:, None]
+    points.position[:, 0] += np.float32(far)
+    photons.position[:, 0] += np.float32(far)
+    radius = cKDTree(photons.position).query(photons.position, [NEAREST + 1])[0][:, 0]
+    radius = np.clip(radius, 0, SPARSE * np.median(radius)).astype(np.float32)
+    assert radius.max() > 16 * radius.min()
+    wanted = one_by_one(photons, points, radius)
+    np.testing.assert_allclose(lit(photons, points), wanted, rtol=1e-3, atol=1e-4 * wanted.max())
