@@ -18,7 +18,7 @@ from .lamps import DirectLight, Emitters, LightGroups, build_emitters, direct_li
 from .lamps.escapes import shadows_alike
 from .lamps.links import is_linked
 from .methods.area_shadows import area_lamps, direct_by_soft_maps
-from .methods.caustics import add_caustics, bends_light, trace_photons
+from .methods.caustics import add_caustics, bends_light, by_lenses
 from .methods.fuzzy_clustering import FuzzyClustering
 from .methods.glossy import Reflections, has_lobes, reflect
 from .methods.importance_sampling import ImportanceSampling, cache_paths
@@ -224,8 +224,9 @@ def direct_stage(
         if settings.bounces > 0 and bends_light(tables):
             # The cache's emitters are aimed at what is seen.
             sources = tables._replace(emitters=sampler.emitters) if sampler and tables is every else tables
-            photons, rays = trace_photons(sources, points.position, settings.vpls, settings.bounces, seed, threads)
-            add_caustics(photons, points, threads, light.irradiance_by_glass)
+            caustics, rays = by_lenses(sources, points.position, settings.vpls, settings.bounces, seed, threads)
+            if caustics:
+                add_caustics(tables, caustics, points, seed, threads, light.irradiance_by_glass)
             run.rays["light"] += rays
         if settings.bounces == 0:  # glass is a bounce
             nothing = np.zeros_like(light.irradiance_by_glass)

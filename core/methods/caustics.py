@@ -15,21 +15,22 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..jit import inlined, kernel
+from ..jit import inlined, kernel, leaf
 from ..lamps.emission import FOR_EVER, emit, focused
 from ..lamps.links import lights
 from ..lamps.shapes import AWAY_FROM_CENTRE
 from ..lamps.tables import CASTS_SHADOW, FADING, ONE_MINUS_COS, RADIUS, SEEN_BY_GLOSSY
 from ..particles import MAX_ADJOINT, faded, reflected
-from ..rays.offsets import hit_point, offset_origin
-from ..rays.packet import new_packet
-from ..rays.trace import ALL, intersect1
+from ..rays.offsets import hit_point, offset_origin, shadow_segment
+from ..rays.packet import WIDTH, is_occluded, new_packet, set_ray
+from ..rays.trace import ALL, OPAQUE, intersect1, occluded1, occluded_packet
 from ..references import Reference
-from ..sampling.hashing import uniform
+from ..sampling.hashing import hash_combine, uniform
+from ..sampling.maps import orthonormal_basis
 from ..sampling.sequences import sobol
 from ..scene import ANGLED, DIFFUSE, POINT, REFRACTIVE, SPOT, SUN, TRANSPARENT, bounds
 from ..surfaces.bending import STRAIGHT_ON, bent, scattered
-from ..surfaces.layout import BEND, FROST, POLISHED, REFRACTION, ROUGHNESS, SURFACE, TRANSPARENCY, passing_chance
+from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSPARENCY, WIDE, passing_chance
 from ..surfaces.lobes import LOBE
 from ..surfaces.microfacet import SMALLEST_ALPHA
 from ..surfaces.normals import mapped_normal, shading_normal
@@ -47,10 +48,19 @@ VPLS = 4096  # of fewer, as in quick pictures, photons are fewer by the same sha
 MOST_FLOWN, MOST_BY_LOBES = 1 << 20, 1 << 18  # particles; virtual lights could stand for what lobes throw as well
 NEAREST = 48  # photons among which the light of one is spread that lenses have bent
 NEAREST_BY_LOBES = 128  # the same of what lobes reflect, which is less sharp
-SPARSE = 4.0  # times the median of the distances at which they lie: none is spread farther
+WORTHWHILE = 0.02  # share of the view's light that lobes throw
+LEAST_NEAREST = 32  # of them, where photons are few
+MUCH, LEAST_PART = 0.2, 0.5  # of which there are all photons, and least
+MANY = 4  # times the neighbours, at least, are all photons
+RAYS_A_DISK = 8
+EVERY = 4  # of the photons around it, each point looks at so-manyth: its own noise is the denoiser's
+SPARSE = 2.0  # times the median of the distances at which they lie: none is spread farther
 _SURFACES = 32  # that a photon meets at most
 _ALIKE = np.float32(0.7)  # cosine of the normals of a point and of a photon that lights it, at least
-_THICK = np.float32(0.25)  # of that distance: photons so far out of a point's plane are of another surface
+_THICK = np.float32(0.1)  # of that distance: photons so far out of a point's plane are of another surface
+_LAYERS = 4  # that lie so near each other, at most
+_MOST_KEPT = np.float32(8.0)  # times its flux: in foliage no more of it is kept
+_GOLDEN = np.float32(0.618034)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _2 = np.float32(2.0)
@@ -62,7 +72,8 @@ class Photons(NamedTuple):
     """P photons: where lamps' light has landed that lenses bent or lobes reflected.
 
     position: (P, 3) float32 (m).  normal: (P, 3) float32, geometric, on the lit side.  direction: (P, 3) float32, unit, in which they flew.
-    entry: (P, 3) float32, where they first met glass, or the lobe (m).  flux: (P, 3) float32, W.  group: (P,) int32, their lamps' light groups.
+    entry: (P, 3) float32, where they first met glass, or the lobe (m).  flux: (P, 3) float32, W.  side: (P,) float32, 1 where
+    the normal is their triangle's own, else -1.  group: (P,) int32, their lamps' light groups.
     """
 
     position: np.ndarray
@@ -70,12 +81,13 @@ class Photons(NamedTuple):
     direction: np.ndarray
     entry: np.ndarray
     flux: np.ndarray
+    side: np.ndarray
     group: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> Photons:
         """Room for n photons, not set."""
-        return Photons(*(np.empty((n, 3), np.float32) for _ in range(5)), np.empty(n, np.int32))
+        return Photons(*(np.empty((n, 3), np.float32) for _ in range(5)), np.empty(n, np.float32), np.empty(n, np.int32))
 
     def take(self, index) -> Photons:
         """The photons at `index` (anything that indexes an array)."""
@@ -166,7 +178,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                         break
                     if not flags & TRANSPARENT:
                         evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
-                    if not surface[ROUGHNESS] < POLISHED or (sizeless and not surface[ROUGHNESS] * surface[ROUGHNESS] > SMALLEST_ALPHA):
+                    if not surface[ROUGHNESS] < WIDE or (sizeless and not surface[ROUGHNESS] * surface[ROUGHNESS] > SMALLEST_ALPHA):
                         break
                     nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                     nx, ny, nz = mapped_normal(scene.materials, scene.material[triangle], surface, nx, ny, nz)
@@ -186,8 +198,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     r, g, b = w * kr * r, w * kg * g, w * kb * b
                     if not max(r, g, b) > _0:
                         break
-                    qx, qy, qz = px, py, pz
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
+                    qx, qy, qz = ox, oy, oz
                     thrown, entered, kinds = True, OUTSIDE, DIFFUSE
                     continue
                 if not (bends or thrown):
@@ -198,7 +210,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 photons.direction[n, 0], photons.direction[n, 1], photons.direction[n, 2] = dx, dy, dz
                 photons.entry[n, 0], photons.entry[n, 1], photons.entry[n, 2] = qx, qy, qz
                 photons.flux[n, 0], photons.flux[n, 1], photons.flux[n, 2] = r, g, b
-                photons.group[n] = emitters.light_group[e]
+                photons.side[n], photons.group[n] = side, emitters.light_group[e]
                 n += 1
                 break
             # What hides from diffuse rays sends none of them to the lamp.
@@ -242,51 +254,86 @@ def _traced(scene: Transport, particles: int, seed: int, threads: int, lobes: bo
 
 
 def trace_photons(
-    scene: Transport, position: np.ndarray, vpls: int, bounces: int, seed: int, threads: int = 0, *, lobes: bool = False
+    scene: Transport, position: np.ndarray, wanted: float, most: int, bounces: int, seed: int, threads: int = 0, *, lobes: bool = False
 ) -> tuple[Photons, int]:
-    """Photons for the light at points (N, 3) beside so many VPLs, none where nothing throws light on anything; and the rays traced.
+    """About so many photons `wanted` around points (N, 3), of `most` particles, none where nothing throws light on anything; and the rays traced.
 
-    Their density, flux a unit of area, is the irradiance (W/m^2) that shadow rays miss; or, with `lobes`, what polished surfaces reflect
+    Their density, flux a unit of area, is the irradiance (W/m^2) that shadow rays miss; or, with `lobes`, what glossy surfaces reflect
     of the lamps' light at first hand.  bounces: as of the picture.
     """
     low, high = bounds(position)
     how = threads, lobes, bounces
 
-    def wanted_of(photons: Photons) -> np.ndarray:
+    def useful(photons: Photons) -> np.ndarray:
         return ((photons.position >= low) & (photons.position <= high)).all(axis=1)
 
     photons, rays = _traced(scene, GLANCE, seed, *how)
-    if not wanted_of(photons).any():
+    if not useful(photons).any():
         return photons.take(slice(0, 0)), rays
-    photons, more = _traced(scene, PILOT, seed, *how)
-    rays += more
-    telling = wanted_of(photons)
+    if np.count_nonzero(useful(photons)) < TELLING:
+        photons, more = _traced(scene, PILOT, seed, *how)
+        rays += more
+    telling = useful(photons)
     if np.count_nonzero(telling) >= TELLING:
         scene = scene._replace(emitters=focused(scene.emitters, photons.entry[telling]))
         photons, more = _traced(scene, PILOT, seed + 1, *how)
         rays += more
-    wanted = min(max(FEWEST, PHOTONS_A_POINT * len(position)), MOST) * min(1.0, vpls / VPLS)
-    flown = min(int(PILOT * wanted / max(1, np.count_nonzero(wanted_of(photons)))), MOST_BY_LOBES if lobes else MOST_FLOWN)
-    if flown > PILOT:  # the first of them are the same
-        photons, more = _traced(scene, flown, seed + 1, *how)
+    flown = PILOT
+    needed = min(int(flown * wanted / max(1, np.count_nonzero(useful(photons)))), most)
+    if needed > flown:  # the first of them are the same
+        photons, more = _traced(scene, needed, seed + 1, *how)
         rays += more
-    photons.flux[:] *= np.float32(1 / max(flown, PILOT))
+        flown = needed
+    photons.flux[:] *= np.float32(1 / flown)
     return photons, rays
 
 
-class _Grid(NamedTuple):
-    """P photons in cells at least as wide as the disks that they light, one size of them for each power of two.
+def by_lenses(scene: Transport, position: np.ndarray, vpls: int, bounces: int, seed: int, threads: int = 0) -> tuple[Caustics | None, int]:
+    """What lenses throw on points (N, 3), None for nothing, beside so many VPLs; and the rays traced."""
+    wanted = min(max(FEWEST, PHOTONS_A_POINT * len(position)), MOST) * min(1.0, vpls / VPLS)
+    photons, rays = trace_photons(scene, position, wanted, MOST_FLOWN, bounces, seed, threads)
+    if len(photons.group) <= NEAREST:
+        return None, rays
+    caustics = arranged(photons, NEAREST, threads)
+    return caustics, rays + keep_light(scene, caustics, seed, threads)
+
+
+def by_lobes(
+    scene: Transport, position: np.ndarray, share: float, vpls: int, bounces: int, seed: int, threads: int = 0
+) -> tuple[Caustics | None, int]:
+    """What glossy surfaces throw on points (N, 3) of the lamps' light, None where that is little, beside so many VPLs; and the rays traced.
+
+    share: of the points' light that it is, about.
+    """
+    if share < WORTHWHILE:
+        return None, 0
+    part = min(1.0, max(share / MUCH, LEAST_PART))  # of less light, more noise is as good
+    part *= min(1.0, vpls / VPLS)
+    photons, rays = trace_photons(scene, position, part * MOST, MOST_BY_LOBES, bounces, seed, threads, lobes=True)
+    nearest = max(LEAST_NEAREST, int(part * NEAREST_BY_LOBES))
+    if len(photons.group) < MANY * nearest:
+        return None, rays
+    caustics = arranged(photons, nearest, threads, tested=True, every=EVERY)
+    return caustics, rays + keep_light(scene, caustics, seed, threads)
+
+
+class Caustics(NamedTuple):
+    """P photons and the disks that they light, in cells at least as wide, one size of them for each power of two.
 
     radius: (P,) float32, of the disks (m).  cell: (P,) uint64, where they lie.  start: (H + 1,) int64, rows of the photons in each
     of H slots, a power of two.  origin: (3,) float32, of the cells.  edge: (L,) float32, their sides (m).  box: (L, 2, 3) float32, what each size lights.
+    tested: whether what they light must see where they come from.  every: of the photons around a point it looks at so-manyth.
     """
 
+    photons: Photons
     radius: np.ndarray
     cell: np.ndarray
     start: np.ndarray
     origin: np.ndarray
     edge: np.ndarray
     box: np.ndarray
+    tested: bool
+    every: int
 
 
 @inlined
@@ -313,8 +360,13 @@ def _cells(position, level, origin, edge, cell):
         )
 
 
-def _arranged(photons: Photons, radius: np.ndarray) -> tuple[Photons, _Grid]:
-    """Photons with the radius (P,) of what they light, cell by cell."""
+def arranged(photons: Photons, nearest: int, threads: int = 0, *, tested: bool = False, every: int = 1) -> Caustics:
+    """Photons, more than `nearest`, each of which lights a disk that reaches to so many neighbours, so that all of its light arrives.
+
+    By the nearest photons of each point instead, dark surroundings would shine.
+    """
+    radius = cKDTree(photons.position).query(photons.position, [nearest + 1], workers=threads or -1)[0][:, 0]
+    radius = np.clip(radius, 1e-9, SPARSE * np.median(radius)).astype(np.float32)
     finest = radius.min()
     level = np.ceil(np.log2(radius / finest) - 1e-3).astype(np.int64)
     kinds, level = np.unique(level, return_inverse=True)
@@ -323,73 +375,183 @@ def _arranged(photons: Photons, radius: np.ndarray) -> tuple[Photons, _Grid]:
     for k in range(len(kinds)):
         near = photons.position[level == k]
         box[k] = near.min(axis=0) - edge[k], near.max(axis=0) + edge[k]
-    cell = np.empty(len(level), np.uint64)
-    origin = photons.position.min(axis=0)
+    cell, origin = np.empty(len(level), np.uint64), photons.position.min(axis=0)
     _cells(photons.position, level, origin, edge, cell)
     slots = 1 << int(2 * len(level)).bit_length()
     slot = ((cell >> np.uint64(24)) & np.uint64(slots - 1)).astype(np.int64)
     order = np.argsort(slot, kind="stable")
     start = np.zeros(slots + 1, np.int64)
     np.cumsum(np.bincount(slot, minlength=slots), out=start[1:])
-    return photons.take(order), _Grid(radius[order], cell[order], start, origin, edge, box)
+    return Caustics(photons.take(order), radius[order], cell[order], start, origin, edge, box, tested, every)
 
 
 @kernel
-def _light(photons, grid, points, lit, begin, end, out):
-    """Adds the irradiance by photons, each evenly bright but for Epanechnikov's kernel of its radius, to the rows lit[begin..end-1] of `out`."""
-    slots = len(grid.start) - 1
+def _keep(scene, photons, radius, tested, begin, end, seed):
+    """Makes up for what of the disks of the photons begin..end-1 lies beyond edges and in corners, by a few rays through each; the rays traced."""
+    packet = new_packet()
+    rays = 0
+    for p in range(begin, end):
+        mx, my, mz = photons.normal[p, 0], photons.normal[p, 1], photons.normal[p, 2]
+        tx, ty, tz, bx, by, bz = orthonormal_basis(mx, my, mz)
+        r = radius[p]
+        thick = _THICK * r
+        turn = uniform(seed, p, 0, 0)
+        met = 0
+        for k in range(RAYS_A_DISK):
+            # Spread as Epanechnikov's kernel is; down through all that the light reaches.
+            u = (np.float32(k) + uniform(seed, p, k, 1)) / np.float32(RAYS_A_DISK)
+            away = r * np.float32(math.sqrt(_1 - math.sqrt(_1 - u)))
+            angle = np.float32(2 * math.pi) * (turn + _GOLDEN * np.float32(k))
+            a, b = away * np.float32(math.cos(angle)), away * np.float32(math.sin(angle))
+            high = min(thick, np.float32(math.sqrt(r * r - away * away)))
+            ox, oy, oz = (
+                photons.position[p, 0] + a * tx + b * bx + high * mx,
+                photons.position[p, 1] + a * ty + b * by + high * my,
+                photons.position[p, 2] + a * tz + b * bz + high * mz,
+            )
+            far = _2 * high
+            for _ in range(_LAYERS):
+                triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, -mx, -my, -mz, _0, far, DIFFUSE)
+                rays += 1
+                if triangle < 0:
+                    break
+                x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
+                if photons.side[p] * (gx * mx + gy * my + gz * mz) >= _ALIKE:
+                    if tested:
+                        gx, gy, gz = photons.side[p] * gx, photons.side[p] * gy, photons.side[p] * gz
+                        sx, sy, sz, dx, dy, dz = shadow_segment(
+                            x, y, z, gx, gy, gz, error, photons.entry[p, 0], photons.entry[p, 1], photons.entry[p, 2], _0, _0, _0, _0
+                        )  # fmt: skip
+                        rays += 1
+                        met += not occluded1(scene.rays, OPAQUE, packet, sx, sy, sz, dx, dy, dz, _0, _1, DIFFUSE)
+                    else:
+                        met += 1
+                ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, -mx, -my, -mz)
+                far -= t
+                if not far > _0:
+                    break
+        # The mean of this is about one over the part that is met (a binomial's).
+        more = min(_MOST_KEPT, np.float32(RAYS_A_DISK + 1) / np.float32(met + 1))
+        for c in range(3):
+            photons.flux[p, c] *= more
+    return rays
+
+
+def keep_light(scene: Transport, caustics: Caustics, seed: int, threads: int = 0) -> int:
+    """Give what is left of each disk at edges and in corners all of its photon's light; the rays traced."""
+    n = len(caustics.radius)
+    return sum(
+        run_chunks(
+            lambda begin, end: _keep(scene, caustics.photons, caustics.radius, caustics.tested, begin, end, np.uint32(seed)),
+            n,
+            CHUNK,
+            threads,
+        )
+    )
+
+
+@kernel
+def _light(scene, caustics, points, lit, begin, end, seed, tested, every, out):
+    """Adds the irradiance by photons, each evenly bright but for Epanechnikov's kernel of its radius, to the rows lit[begin..end-1] of `out`.
+
+    tested: whether it is seen from there where they come from, as one of them by chance tells.  every: by so-manyth of those around alone.
+    """
+    slots = len(caustics.start) - 1
+    photons = caustics.photons
+    packet = new_packet()
+    found = np.zeros((WIDTH, out.shape[1]), np.float32)
+    owner = np.empty(WIDTH, np.int64)
+    n = np.int64(0)
+    rays = 0
     for row in range(begin, end):
         i = lit[row]
         x, y, z = points.position[i, 0], points.position[i, 1], points.position[i, 2]
         nx, ny, nz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
-        for level in range(len(grid.edge)):
-            box = grid.box[level]
+        total, left, picked = 0.0, np.float64(uniform(seed, i, 0, 0)), -1
+        for level in range(len(caustics.edge)):
+            box = caustics.box[level]
             if x < box[0, 0] or y < box[0, 1] or z < box[0, 2] or x > box[1, 0] or y > box[1, 1] or z > box[1, 2]:
                 continue
-            inverse = _1 / grid.edge[level]
+            inverse = _1 / caustics.edge[level]
             bx, by, bz = (
-                np.int64(math.floor((x - grid.origin[0]) * inverse - _HALF)),
-                np.int64(math.floor((y - grid.origin[1]) * inverse - _HALF)),
-                np.int64(math.floor((z - grid.origin[2]) * inverse - _HALF)),
+                np.int64(math.floor((x - caustics.origin[0]) * inverse - _HALF)),
+                np.int64(math.floor((y - caustics.origin[1]) * inverse - _HALF)),
+                np.int64(math.floor((z - caustics.origin[2]) * inverse - _HALF)),
             )
             for corner in range(8):
                 cell = _cell(level, bx + (corner & 1), by + (corner >> 1 & 1), bz + (corner >> 2))
                 slot = _slot(cell, slots)
-                for p in range(grid.start[slot], grid.start[slot + 1]):
-                    if grid.cell[p] != cell:
+                begin_at = caustics.start[slot]
+                if every > 1 and caustics.start[slot + 1] > begin_at:
+                    begin_at += hash_combine(hash_combine(seed, i), np.uint32(cell)) % every
+                for p in range(begin_at, caustics.start[slot + 1], every):
+                    if caustics.cell[p] != cell:
                         continue
                     ax, ay, az = photons.position[p, 0] - x, photons.position[p, 1] - y, photons.position[p, 2] - z
-                    inverse2 = _1 / (grid.radius[p] * grid.radius[p])
+                    inverse2 = _1 / (caustics.radius[p] * caustics.radius[p])
                     falls = _1 - (ax * ax + ay * ay + az * az) * inverse2
                     if not falls > _0:
                         continue
                     mx, my, mz = photons.normal[p, 0], photons.normal[p, 1], photons.normal[p, 2]
-                    if nx * mx + ny * my + nz * mz < _ALIKE or abs(nx * ax + ny * ay + nz * az) > _THICK * grid.radius[p]:
+                    if nx * mx + ny * my + nz * mz < _ALIKE or abs(nx * ax + ny * ay + nz * az) > _THICK * caustics.radius[p]:
                         continue
                     dx, dy, dz = photons.direction[p, 0], photons.direction[p, 1], photons.direction[p, 2]
                     cos_g = -(mx * dx + my * dy + mz * dz)
                     cos_s = -(points.ns[i, 0] * dx + points.ns[i, 1] * dy + points.ns[i, 2] * dz)
                     if not (cos_g > _0 and cos_s > _0):
                         continue
-                    w = _2 * _INV_PI * inverse2 * falls * min(_2, cos_s / cos_g)
+                    w = np.float32(every) * _2 * _INV_PI * inverse2 * falls * min(_2, cos_s / cos_g)
+                    r, g, b = w * photons.flux[p, 0], w * photons.flux[p, 1], w * photons.flux[p, 2]
                     c = 3 * photons.group[p]
-                    out[i, c] += w * photons.flux[p, 0]
-                    out[i, c + 1] += w * photons.flux[p, 1]
-                    out[i, c + 2] += w * photons.flux[p, 2]
+                    found[n, c] += r
+                    found[n, c + 1] += g
+                    found[n, c + 2] += b
+                    # One of them by its light, with one random number for all.
+                    light = np.float64(r + g + b)
+                    total += light
+                    if left * total < light:
+                        left *= total / light
+                        picked = p
+                    else:
+                        left = (left * total - light) / (total - light)
+        if picked < 0:
+            continue
+        owner[n] = i
+        if tested:
+            ox, oy, oz, dx, dy, dz = shadow_segment(
+                x, y, z, nx, ny, nz, points.error[i], photons.entry[picked, 0], photons.entry[picked, 1], photons.entry[picked, 2], _0, _0, _0, _0
+            )  # fmt: skip
+            set_ray(packet, n, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
+            rays += 1
+        n += 1
+        if n == WIDTH:
+            _arrive(scene, packet, owner, n, tested, found, out)
+            n = np.int64(0)
+    if n > 0:
+        _arrive(scene, packet, owner, n, tested, found, out)
+    return rays
 
 
-def add_caustics(photons: Photons, points, threads: int, out: np.ndarray, nearest: int = NEAREST) -> None:
-    """Add the irradiance by photons to `out`, (N, 3 G) W/m^2, at N points (with the arrays position, ns and ng).
+@leaf
+def _arrive(scene, packet, owner, lanes, tested, found, out):
+    """Adds what the `lanes` points of a packet have found (16, 3 G) to their rows of `out`, where their rays arrive; forgets it."""
+    if tested:
+        occluded_packet(scene.rays, OPAQUE, packet, lanes)
+    for lane in range(lanes):
+        arrives = not (tested and is_occluded(packet, lane))
+        for c in range(out.shape[1]):
+            if arrives:
+                out[owner[lane], c] += found[lane, c]
+            found[lane, c] = _0
 
-    Each photon lights a disk that reaches to its `nearest` neighbours, so that all of its light arrives; by the nearest photons of each
-    point instead, dark surroundings would shine.
-    """
-    if len(photons.group) <= nearest or not len(points.position):
-        return
-    radius = cKDTree(photons.position).query(photons.position, [nearest + 1], workers=threads or -1)[0][:, 0]
-    radius = np.clip(radius, 1e-9, SPARSE * np.median(radius)).astype(np.float32)
-    low, high = (photons.position - radius[:, None]).min(axis=0), (photons.position + radius[:, None]).max(axis=0)
+
+def add_caustics(scene: Transport, caustics: Caustics, points, seed: int, threads: int, out: np.ndarray) -> int:
+    """Add the irradiance by photons to `out`, (N, 3 G) W/m^2, at N points (with the arrays position, error, ns and ng); the rays traced."""
+    low, high = caustics.box[:, 0].min(axis=0), caustics.box[:, 1].max(axis=0)
     lit = np.flatnonzero(((points.position >= low) & (points.position <= high)).all(axis=1))
-    arranged, grid = (Reference(table) for table in _arranged(photons, radius))
-    receivers = Reference(points)
-    run_chunks(lambda begin, end: _light(arranged, grid, receivers, lit, begin, end, out), len(lit), CHUNK, threads)
+    disks, receivers = Reference(caustics), Reference(points)
+
+    def work(begin, end):
+        return _light(scene, disks, receivers, lit, begin, end, np.uint32(seed), caustics.tested, caustics.every, out)
+
+    return sum(run_chunks(work, len(lit), CHUNK, threads))

@@ -21,7 +21,7 @@ from ..jit import inlined, kernel, leaf
 from ..lamps import focus_share, focused
 from ..lamps.direct import set_point_lobe
 from ..lamps.escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray
-from ..particles import BRIGHTEST, CAUSTIC, Vpls, is_ahead, trace_by_power
+from ..particles import BRIGHTEST, Vpls, is_ahead, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
 from ..rays.packet import (
@@ -55,7 +55,7 @@ from ..threads import Progress, part, run_chunks
 from ..transport import Transport, is_translucent
 from ..view.points import ShadingPoints, is_transmitting, shares
 from ..vpl_pool import BATCH_SEED, Particles, vpl_pool
-from .caustics import NEAREST_BY_LOBES, Photons, add_caustics, trace_photons
+from .caustics import Caustics, add_caustics, by_lobes
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
@@ -63,7 +63,7 @@ from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, Probes, build_light_cache,
 from .partition import strengths, trusted
 from .probes import Tracer, trace_farther, trace_probes
 from .tails import path_light
-from .thrown import caustic_share, redirected, throwing
+from .thrown import redirected, shine_share, throwing
 from .wide_lobes import WIDE_ALPHA, SharedRays, bound, drawn_share, gather_density, is_mirror, is_wide, known_light
 
 CHUNK = 1024  # points a chunk
@@ -90,8 +90,6 @@ RELIABLE = 20.0
 NEVER_STRONG = 0.5  # of a strong light: where none is more, all are trusted
 HUGE = 1e30  # a clamp that bounds nothing, and times a light of no power is none
 BATCHES = 4  # of particles: those whose light gather rays carry need not be many
-FEWEST_PHOTONS = 1000
-WORTH_PHOTONS = 0.02  # of the view's light, thrown by polished surfaces
 _WEIGHT, _CARRIED, _REACH, _GLOSSY, _SEEN = 0, 3, 4, 5, 6  # columns of what a gather ray counts for a wide lobe, and is to Cycles
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -251,8 +249,8 @@ def _gathered(
         cell = find_cell(
             cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
         )  # fmt: skip
-        own = sheen = whole = _1
-        polish = cache.polish
+        own = whole = _1
+        sheen = cache.shine
         more = _0
         if len(cache.radiosity) > bounces:
             more = _1 if is_transmitting(points, k) else seen[lane, _GLOSSY]  # to come through counts as no bounce
@@ -278,10 +276,9 @@ def _gathered(
             share = clamped * cache.share[cell]
             rest = max(_1 - cache.later * share, np.float32(1e-6))
             wr, wg, wb = wr * rest, wg * rest, wb * rest
-            own, sheen, whole = (_1 - share) / rest, (_1 - cache.trust[cell] * clamped) / rest, _1 / rest
-            polish = sheen if polish > _0 else _0
+            own, sheen, whole = (_1 - share) / rest, cache.shine * (_1 - cache.trust[cell] * clamped) / rest, _1 / rest
         if veiled and encloses(scene.materials.flags[scene.material[triangle]], behind):
-            sheen = polish = _0
+            sheen = _0
         if not veiled:
             evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
@@ -290,7 +287,7 @@ def _gathered(
             sx, sy, sz = -sx, -sy, -sz
         path_light(
             scene, single, rows, surface, lobe, cache, near, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered,
-            bounces + np.int64(uniform(seed, path, 3, 2) < more), seed, path, out, k, wr, wg, wb, own, sheen, polish, whole,
+            bounces + np.int64(uniform(seed, path, 3, 2) < more), seed, path, out, k, wr, wg, wb, own, sheen, whole,
         )  # fmt: skip
 
 
@@ -509,7 +506,7 @@ class ImportanceSampling:
         self.lights: np.ndarray | None = None  # until `prepare`
         self.shared: SharedRays | None = None
         self.gathered: GatherRays | None = None
-        self.photons: Photons | None = None  # where polished surfaces throw light on what is seen
+        self.caustics: Caustics | None = None  # what glossy surfaces throw on what is seen, where that is much
 
     def cache_light(
         self,
@@ -567,8 +564,7 @@ class ImportanceSampling:
         cell = look_up(self.cache, vpls.position, vpls.surface_normal, vpls.side, self.seed + 2)
         share = self.cache.share[cell] * np.where(vpls.bounce == 1, np.float32(1), self.cache.later)
         # What a glossy surface reflects of the lamps has a direction, which the cache does not know.
-        shine = np.where(vpls.shine == CAUSTIC, self.cache.polish, np.float32(1)) * self.cache.trust[cell]
-        return np.where(cell >= 0, np.where(vpls.shine > 0, shine, share), np.float32(0))
+        return np.where(cell >= 0, np.where(vpls.shine > 0, self.cache.shine * self.cache.trust[cell], share), np.float32(0))
 
     def _weigh(self, vpls: Vpls) -> None:
         """Leaves light to the gather rays from where lights are too strong, by the first of them."""
@@ -601,7 +597,7 @@ class ImportanceSampling:
         """
         scene = scene._replace(emitters=self.emitters)
         thrown_on = throwing(self.probes, self.links, self.cache)
-        photon_rays = self._trace_photons(scene, points, count, self.seed if turn is None else self.seed + BATCH_SEED * turn)
+        photon_rays = self._trace_photons(scene, points, count, self.seed + 6 + BATCH_SEED * (turn or 0))
         vpls, counts = vpl_pool(
             scene,
             points,
@@ -628,21 +624,19 @@ class ImportanceSampling:
         return self.vpls, counts
 
     def _trace_photons(self, scene: Transport, points: ShadingPoints, count: int, seed: int) -> int:
-        """Traces photons in place of virtual lights and gather rays where polished surfaces throw much of the light; the rays."""
-        if caustic_share(self.probes, self.links, self.cache) < WORTH_PHOTONS:
-            return 0
-        photons, rays = trace_photons(scene, points.position, count, self.bounces, seed + 6, self.threads, lobes=True)
-        if len(photons.group) > FEWEST_PHOTONS:
-            self.photons = photons
-            cache, caustic = self.cache, self.links.caustic
-            lit = np.maximum(0, cache.lit - cache.trust[:, None] * caustic)
-            self.cache = cache._replace(lit=lit, dull=np.maximum(0, cache.dull - caustic), polish=np.float32(0))
+        """Photons in place of virtual lights and gather rays for what lobes reflect of the lamps, where that is much; the rays traced."""
+        share = shine_share(self.probes, self.links, self.cache)
+        self.caustics, rays = by_lobes(scene, points.position, share, count, self.bounces, seed, self.threads)
+        if self.caustics:
+            cache, shine = self.cache, self.links.shine
+            lit = np.maximum(0, cache.lit - cache.trust[:, None] * shine)
+            self.cache = cache._replace(lit=lit, dull=np.maximum(0, cache.dull - shine), shine=np.float32(0))
         return rays
 
     def _redirect(self, first: np.ndarray) -> int:
         """Tells the cache where lobes throw the lamps' light, of the probes `first` (P,); the shadow rays traced."""
         vpls, n = self.vpls.take(self.vpls.shine > 0), len(first)
-        if not (n and (len(vpls.bounce) or self.photons)):
+        if not (n and (len(vpls.bounce) or self.caustics)):
             return 0
         points = ShadingPoints.allocate(n)
         points.position[:], points.error[:] = self.probes.position[first], self.probes.error[first]
@@ -659,11 +653,11 @@ class ImportanceSampling:
             )  # fmt: skip
 
         rays = sum(run_chunks(work, n, CHUNK, self.threads)) if lights.size else 0
-        if self.photons:
-            add_caustics(self.photons, points, self.threads, irradiance, NEAREST_BY_LOBES)
+        if self.caustics:
+            rays += add_caustics(self.scene, self.caustics, points, self.seed + 7, self.threads, irradiance)
         self.cache = redirected(
             self.cache, Reference(self.probes), Reference(self.links), first, irradiance, self.g_max, self.bounces, self.threads,
-            by_photons=self.photons is not None,
+            by_photons=self.caustics is not None,
         )  # fmt: skip
         self.links = self.links._replace(shine=self.links.shine[:0])  # once is enough
         self.pairs += n * lights.shape[2]
@@ -710,8 +704,8 @@ class ImportanceSampling:
             return rays
 
         self.rays += sum(run_chunks(work, n, CHUNK, self.threads, progress))
-        if self.photons:
-            add_caustics(self.photons, points, self.threads, out, NEAREST_BY_LOBES)
+        if self.caustics:
+            self.rays += add_caustics(self.scene, self.caustics, points, self.seed + 8, self.threads, out)
         self.found = sights, parts, gathered
         self.gathered = GatherRays(gather, met, self.seed + 3, first)
         looks = np.minimum(np.maximum(1, samples // PICKS), len(self.lights))

@@ -216,7 +216,6 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                     _1,
                     _1,
                     _1,
-                    _1,
                 )
     return rays
 

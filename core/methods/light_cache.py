@@ -48,7 +48,6 @@ class Probes(NamedTuple):
     position, normal: (N, 3) float32, the geometric normal on the side that was met.
     direct: (N, 3 G) float32, pi times the radiance towards the path by direct light, one sample (W/m^2), by light groups.
     shine: (N, 3 G) float32, the part of it that a glossy lobe has reflected, spread as by a diffuse one.
-    caustic: (N, 3 G) float32, the part of `shine` that comes of a `layout.POLISHED` lobe.
     beneath: (N, 3 G) float32, the part of it that comes from below the facet of a smooth surface, or nearly along it: no particle has it.
     glass: (N, 3 G) float32, the part of it that came by way of glass.
     carry: (N, 3) float32, the same for each unit that the linked surface sends.
@@ -62,7 +61,6 @@ class Probes(NamedTuple):
     normal: np.ndarray
     direct: np.ndarray
     shine: np.ndarray
-    caustic: np.ndarray
     beneath: np.ndarray
     glass: np.ndarray
     carry: np.ndarray
@@ -84,7 +82,7 @@ class Probes(NamedTuple):
     @staticmethod
     def allocate(n: int, light_groups: int = 1) -> Probes:
         """Room for n probes, none of them valid."""
-        rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, *[3 * light_groups] * 5, 3, 3, 3, 3)]
+        rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, *[3 * light_groups] * 4, 3, 3, 3, 3)]
         sides, lengths = ([np.zeros(n, kind) for _ in range(2)] for kind in (np.int32, np.float32))
         return Probes(*rows, np.zeros(n, np.uint8), *sides, *lengths, np.zeros(n, np.uint8))
 
@@ -93,8 +91,7 @@ class Links(NamedTuple):
     """How N probes and C cells of a cache hang together, for light whose direction is found later (`thrown`).
 
     cells: (N, LEVELS) int32, of the probes, from the finest on.  link_cell: (N,) int64, where their links end, negative where nothing is known.
-    weight: (N,) float32, of the probes in their cells.  shine, caustic: (C, 3 G) float32 W/m^2, of what cells send the lamps' light that lobes
-    reflect, and of that what `layout.POLISHED` ones do, no rows where there are none.
+    weight: (N,) float32, of the probes in their cells.  shine: (C, 3 G) float32 W/m^2, of what cells send the lamps' light that lobes reflect.
     parent: (C,) int64, the next coarser cell, -1 for none.  order: (C,) int64, the cells, the coarsest first.  unit: (C,) float32, what a probe of each weighs.
     """
 
@@ -102,7 +99,6 @@ class Links(NamedTuple):
     link_cell: np.ndarray
     weight: np.ndarray
     shine: np.ndarray
-    caustic: np.ndarray
     parent: np.ndarray
     order: np.ndarray
     unit: np.ndarray
@@ -117,12 +113,12 @@ class LightCache(NamedTuple):
     sent: (C, 3 G) float32 W/m^2, the row that gather rays look up again, the mean of what either half of the paths tells of it.
     lit: (C, 3 G) float32 W/m^2, the part of `sent` that virtual lights carry to where their geometry term is not clamped.  How bright a
         cell is, on which that hangs, is told for each half by the other one: the product has no bias by their noise.
-    dull: (C, 3 G) float32, of `sent`, what gather rays find for diffuse light: all, but for caustics where photons bring them (`caustics`).
+    dull: (C, 3 G) float32, of `sent`, what diffuse light gets: all of it, or where photons bring what lobes reflect of the lamps (`caustics`) the rest.
     share: (C,) float32, how much of a virtual light's flux that is.
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
     later: float32, by which `share` is less for light that has left several surfaces.
     trust: (C,) float32, by which `share` is less than how bright the cell is would have it: see `trusted`.
-    polish: float32, of what polished lobes that gather rays meet reflect of the lamps, the part that is not brought by photons.
+    shine: float32, of what lobes that gather rays meet reflect of the lamps the part that photons do not bring, 0 or 1.
     gain: (C, 3 G) float32 W/m^2, how much more irradiance each cell gets than its links tell, by what lobes throw on it (`thrown`); no rows for nothing.
     centre: (C, 6) float32, middle and normal of the cells.  side: (C,) int32, their sides.
     root: (C,) int64, the coarsest cell around each.
@@ -140,7 +136,7 @@ class LightCache(NamedTuple):
     tau: np.float32
     later: np.float32
     trust: np.ndarray
-    polish: np.float32
+    shine: np.float32
     gain: np.ndarray
     centre: np.ndarray
     side: np.ndarray
@@ -315,13 +311,12 @@ def _links(probes, cache, begin, end, seed, link_cell):
 
 def _solve(
     probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, root: np.ndarray, level_of: np.ndarray,
-    near: np.float32, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, caustic: np.ndarray, first_of: np.ndarray,
-    beneath: np.ndarray, threads: int, go_on: Callable[[float], None],
+    near: np.float32, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, beneath: np.ndarray, threads: int, go_on: Callable[[float], None],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
 
     halves: (2, C, 3 G), its `row` again, as half of the paths tell it;  shine: (2, C, 3 G), the part of that which came from lamps
-    and was reflected by a glossy lobe, caustic: by a polished one.  first_of: (2, C, 3 G), all that came straight from lamps.  beneath: (2, C, 3 G), of it what came from below facets.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
+    and was reflected by a glossy lobe.  first_of: (2, C, 3 G), all that came straight from lamps.  beneath: (2, C, 3 G), of it what came from below facets.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
 
     Returns (2, C) float32: the weight of the probes of each cell, of either half; `order` and `unit` of `Links`.
     """
@@ -349,7 +344,7 @@ def _solve(
     unit = np.divide(squares[:, 1], number, out=np.ones(count, np.float32), where=number > 0)
     likeness = _likeness(parent, level_of, number, squares, _THIRD * direct.sum(axis=1))
     smooth(direct, number, unit, parent, order, likeness)
-    parts_of = [(part, of) for part, of in ((shine, probes.shine), (caustic, probes.caustic), (beneath, probes.beneath)) if of.any()]
+    parts_of = [(part, of) for part, of in ((shine, probes.shine), (beneath, probes.beneath)) if of.any()]
     for part, of in parts_of:
         part[:] = summed(weight[:, None] * of[knows])
     # Half of the probes know half as much, of what is around them, too.
@@ -414,7 +409,7 @@ def _solve(
             halves += first_of
             for part in (halves, first_of):
                 part *= scale
-            for part in (shine, caustic, beneath):
+            for part in (shine, beneath):
                 part *= clear * scale
     return number_of, order, unit
 
@@ -682,7 +677,7 @@ def build_light_cache(
     go_on(0.3)
     level_of, centre, side_of = level_of[:count].copy(), centre[:count].copy(), side_of[:count].copy()
     radiosity = np.zeros((bounces, count, probes.direct.shape[1]), np.float32)
-    halves, shine, caustic, first_of, beneath = (np.zeros((2, count, probes.direct.shape[1]), np.float32) for _ in range(5))
+    halves, shine, first_of, beneath = (np.zeros((2, count, probes.direct.shape[1]), np.float32) for _ in range(4))
     one = np.float32(1)
     cache = LightCache(
         origin, size, keys, slot, radiosity, halves[0], shine[0], halves[0], np.zeros(count, np.float32), one, one,
@@ -698,8 +693,8 @@ def build_light_cache(
     go_on(0.4)
     row = (bounces if gathered is None else gathered) - 1
     number_of, order, unit = _solve(
-        probes, cells, link_cell, seen_cell, parent, root, level_of, np.float32(NEAR * size), radiosity, row, halves, shine, caustic,
-        first_of, beneath, threads, go_on,
+        probes, cells, link_cell, seen_cell, parent, root, level_of, np.float32(NEAR * size), radiosity, row, halves, shine, first_of,
+        beneath, threads, go_on,
     )  # fmt: skip
     tau = np.float32(max(seen_light(cache, probes, seed + 1), 1e-30))
     half, bright = _half(np.arange(len(probes.valid))), np.zeros((2, count), np.float32)
@@ -709,13 +704,11 @@ def build_light_cache(
         )  # fmt: skip
     number = number_of.sum(axis=0)
     counts = number_of / np.maximum(number, np.float32(1e-6))
-    links = Links(cells, link_cell, _weights(probes, NEAR * size), np.einsum("hc,hck->ck", counts, shine), radiosity[0, :0], parent, order, unit)
     later += relied * (1 - later)
     sent, lit, thrown, share = divided(
-        halves, shine, caustic, first_of, beneath, counts, bright, number, tau, parent, np.float32(later), np.float32(relied)
+        halves, shine, first_of, beneath, counts, bright, number, tau, parent, np.float32(later), np.float32(relied)
     )
-    if probes.caustic.any():
-        links = links._replace(caustic=thrown)
+    links = Links(cells, link_cell, _weights(probes, NEAR * size), thrown, parent, order, unit)
     return cache._replace(sent=sent, lit=lit, dull=sent, share=share, tau=tau, later=np.float32(later), root=root), links
 
 

@@ -30,7 +30,6 @@ from ..surfaces.layout import (
     GLOSS,
     GLOSSY_F0,
     GLOSSY_F90,
-    POLISHED,
     ROUGHNESS,
     SHEEN,
     SHEEN_ROUGHNESS,
@@ -64,16 +63,16 @@ DIMENSIONS = 100
 @leaf
 def scatter_light(
     scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, lamp_rays, diffuse, seed, path, at,
-    out, shine, caustic, beneath, glass, apart, i, kr, kg, kb, sheen, polish, aside,
+    out, shine, beneath, glass, apart, i, kr, kg, kb, sheen, aside,
 ):  # fmt: skip
     """What a surface sends towards w at first hand, and a ray that finds the rest.
 
     on: its triangle.  (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
     overwritten.  lobe: (LOBE,) float32, scratch.  entered: solids of glass that the surface lies in, to its view.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn, and light by way of glass counts.  at: first dimension.
     out, shine, beneath: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, of what
-    comes through, and of a `WIDE` glossy lobe, to that of `out`, of another glossy one, times `sheen`, or `polish` if it is `POLISHED`, to that of `shine`.
+    comes through, and of a `WIDE` glossy lobe, to that of `out`, of another glossy one, times `sheen`, to that of `shine`.
     What comes from below the facet, where no particle lands, or nearly along it, where their weight is bounded, goes to `beneath`, times `aside`.
-    caustic, glass: (N, 3 G) float32, where `apart`: the part that `POLISHED` lobes reflect, and the part of all that which came by way of glass.
+    glass: (N, 3 G) float32, where `apart`: the part of all that which came by way of glass.
 
     Returns (dx, dy, dz, wr, wg, wb, kinds): the ray's direction, its weight and its kind, 0 where there is none.
     """
@@ -126,19 +125,13 @@ def scatter_light(
             else:
                 r, g, b = lit * r * dr, lit * g * dg, lit * b * db
             if roughness < WIDE and across > _0:
-                counts = polish if roughness < POLISHED else sheen
-                fr, fg, fb = counts * fr, counts * fg, counts * fb
-                shine[i, c] += fr
-                shine[i, c + 1] += fg
-                shine[i, c + 2] += fb
-                if apart and roughness < POLISHED:
-                    caustic[i, c] += fr
-                    caustic[i, c + 1] += fg
-                    caustic[i, c + 2] += fb
+                shine[i, c] += sheen * fr
+                shine[i, c + 1] += sheen * fg
+                shine[i, c + 2] += sheen * fb
                 if apart and clear < _1:
-                    glass[i, c] += (_1 - clear) * fr
-                    glass[i, c + 1] += (_1 - clear) * fg
-                    glass[i, c + 2] += (_1 - clear) * fb
+                    glass[i, c] += (_1 - clear) * sheen * fr
+                    glass[i, c + 1] += (_1 - clear) * sheen * fg
+                    glass[i, c + 2] += (_1 - clear) * sheen * fb
             else:
                 r, g, b = r + fr, g + fg, b + fb
         landing = min(_1, MAX_ADJOINT * max(_0, across) / max(cosine, np.float32(1e-4)))
@@ -205,7 +198,7 @@ def _add_gain(scene, surface, cache, on, x, y, z, gx, gy, gz, cosine, seed, path
 @leaf
 def path_light(
     scene, packet, rows, surface, lobe, cache, near, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, bounces, seed, path,
-    out, i, kr, kg, kb, own, sheen, polish, whole,
+    out, i, kr, kg, kb, own, sheen, whole,
 ):  # fmt: skip
     """Adds one sample of pi times the radiance that a surface sends towards w, weighed by k, to row i of `out`.
 
@@ -213,8 +206,8 @@ def path_light(
 
     The arguments as in `scatter_light`.  bounces: diffuse reflections at most; the first one after a lamp counts even if it
     is glossy.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
-    own: how much of the lamps' light that the first surface reflects counts, sheen: of that which it reflects as a glossy one, polish: as a
-    `POLISHED` one, whole: of that which comes from below its facet.
+    own: how much of the lamps' light that the first surface reflects counts, sheen: of that which it reflects as a glossy one,
+    whole: of that which comes from below its facet.
     out: (N, 3 G) float32 W/m^2, three columns for each light group.
     """
     wr = wg = wb = _1
@@ -227,11 +220,10 @@ def path_light(
             _add_gain(scene, surface, cache, on, x, y, z, gx, gy, gz, cosine, seed, path, at, kr * wr, kg * wg, kb * wb, out, i)
         first = own if vertex == 0 else _1
         shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
-        polished = polish / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1
         dx, dy, dz, tr, tg, tb, kinds = scatter_light(
             scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, 1, left > 0, seed, path, at,
-            out, out, out, out, out, False, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, polished, aside,
+            out, out, out, out, False, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
         )  # fmt: skip
         if kinds == 0:
             break
@@ -296,7 +288,7 @@ def _tail_chunk(scene, cache, near, points, further, begin, end, bounces, seed, 
             scene, packet, rows, surface, lobe, cache, near, points.triangle[i], points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
             points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], np.int64(points.entered[i]), most, seed, np.uint32(i),
-            out, i, weight, weight, weight, _1, _1, _1, _1,
+            out, i, weight, weight, weight, _1, _1, _1,
         )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ _1 = np.float32(1.0)
 
 @kernel
 def _linked(probes, first, links, trust, g_max, by_photons, carried):
-    """Of each probe first[i] (P,) into row i of `carried` (P, 3 G), W/m^2: light that has come from lobes over its link, as far as virtual lights have it, or photons."""
+    """Of each probe first[i] (P,) into row i of `carried` (P, 3 G), W/m^2: light that has come from lobes over its link, as far as virtual lights have it, or all `by_photons`."""
     for i in range(len(first)):
         p = first[i]
         cell = links.link_cell[p]
@@ -37,11 +37,10 @@ def _linked(probes, first, links, trust, g_max, by_photons, carried):
         here = probes.normal[p, 0] * dx + probes.normal[p, 1] * dy + probes.normal[p, 2] * dz
         there = probes.link_normal[p, 0] * dx + probes.link_normal[p, 1] * dy + probes.link_normal[p, 2] * dz
         r2 = dx * dx + dy * dy + dz * dz
-        part = trust[cell] * min(_1, g_max * r2 * r2 / max(abs(here * there), np.float32(1e-30)))
+        part = _1 if by_photons else trust[cell] * min(_1, g_max * r2 * r2 / max(abs(here * there), np.float32(1e-30)))
         for c in range(0, carried.shape[1], 3):
             for k in range(3):
-                caustic = links.caustic[cell, c + k] if by_photons else _0
-                carried[i, c + k] = probes.carry[p, k] * (part * (links.shine[cell, c + k] - caustic) + caustic)
+                carried[i, c + k] = part * probes.carry[p, k] * links.shine[cell, c + k]
 
 
 def throwing(probes: Probes, links: Links, cache: LightCache) -> np.ndarray:
@@ -63,14 +62,12 @@ def throwing(probes: Probes, links: Links, cache: LightCache) -> np.ndarray:
     return first[:: -(-len(first) // ENOUGH)]
 
 
-def caustic_share(probes: Probes, links: Links, cache: LightCache) -> float:
-    """The part of all light that visible points get of other surfaces which polished ones reflect of the lamps, spread as by diffuse ones."""
-    if not len(links.caustic):
-        return 0.0
+def shine_share(probes: Probes, links: Links, cache: LightCache) -> float:
+    """The part of what visible points get of other surfaces which lobes reflect of the lamps, spread as by diffuse ones."""
     first = np.arange(0, len(probes.valid), DEPTH)
     cells = links.cells[first[probes.valid[first] > 0], 0]
-    polished, whole = (float(_grey(light)[cells].sum(dtype=np.float64)) for light in (links.caustic, cache.radiosity[-1]))
-    return polished / whole if whole > 0 else 0.0
+    shine, whole = (float(_grey(light)[cells].sum(dtype=np.float64)) for light in (links.shine, cache.radiosity[-1]))
+    return shine / whole if whole > 0 else 0.0
 
 
 def _grey(light: np.ndarray) -> np.ndarray:
@@ -120,8 +117,8 @@ def redirected(
 ) -> LightCache:
     """The cache with what lobes throw on the probes `first` (P,) where it falls.
 
-    irradiance: (P, 3 G) W/m^2, by virtual lights that stand for lamps' light that lobes reflect, and by photons for that by polished ones where
-    `by_photons`.  g_max: the clamp of the lights' geometry term.
+    irradiance: (P, 3 G) W/m^2, by virtual lights that stand for lamps' light that lobes reflect, or `by_photons`.  g_max: the clamp of the lights'
+    geometry term.
     bounces: surfaces that the light has left which gather rays look up, at most.
     """
     groups = irradiance.shape[1] // 3

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-
 from scipy.spatial import cKDTree
 
-from lumigate.core.methods.caustics import NEAREST, SPARSE, Photons, add_caustics
+from lumigate.core.methods.caustics import NEAREST, SPARSE, Photons, add_caustics, arranged
 from lumigate.core.view.points import ShadingPoints
 
 SIDE, PITCH = 81, 0.05  # points in a grid of 4 m, so far apart (m)
@@ -33,7 +32,7 @@ def spot(n, width, height=0.0):
 def lit(photons, points):
     """Irradiance (N, 3)."""
     out = np.zeros((len(points.pixel), 3), np.float32)
-    add_caustics(photons, points, 2, out)
+    add_caustics(None, arranged(photons, NEAREST), points, 1, 2, out)
     return out
 
 
@@ -55,10 +54,6 @@ def test_other_sides_stay_dark(normal):
 
 def test_what_lies_above_stays_dark():
     assert not lit(spot(2000, 0.3, height=-0.5), plane()).any()
-
-
-def test_so_few_photons_tell_nothing():
-    assert not lit(spot(NEAREST, 0.3), plane()).any()
 
 
 def one_by_one(photons, points, radius):
