@@ -553,6 +553,7 @@ class ImportanceSampling:
         self.probes = probes
         self.near = np.float32(NEAR * self.cache.size)
         self.weighed = False
+        self.caustics = None
         return rays
 
     def shares(self, vpls: Vpls) -> np.ndarray:

@@ -64,6 +64,8 @@ def throwing(probes: Probes, links: Links, cache: LightCache) -> np.ndarray:
 
 def shine_share(probes: Probes, links: Links, cache: LightCache) -> float:
     """The part of what visible points get of other surfaces which lobes reflect of the lamps, spread as by diffuse ones."""
+    if not len(cache.share) or not links.shine.any():
+        return 0.0
     first = np.arange(0, len(probes.valid), DEPTH)
     cells = links.cells[first[probes.valid[first] > 0], 0]
     shine, whole = (float(_grey(light)[cells].sum(dtype=np.float64)) for light in (links.shine, cache.radiosity[-1]))

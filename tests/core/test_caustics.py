@@ -1,10 +1,17 @@
-"""Photons through lenses: each spreads all of its light, where its neighbours are."""
+"""Photons that lenses bend and lobes reflect: each spreads all of its light, where its neighbours are and nothing is in its way."""
+
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from lumigate.core.methods.caustics import NEAREST, SPARSE, Photons, add_caustics, arranged
+from lumigate.core import scene as sc
+from lumigate.core.lamps import build_emitters
+from lumigate.core.methods.caustics import NEAREST, SPARSE, Photons, add_caustics, arranged, keep_light, trace_photons
+from lumigate.core.particles import trace_by_power
+from lumigate.core.rays import RayScene
+from lumigate.core.transport import transport
 from lumigate.core.view.points import ShadingPoints
 
 SIDE, PITCH = 81, 0.05  # points in a grid of 4 m, so far apart (m)
@@ -17,6 +24,7 @@ def plane(normal=(0.0, 0.0, 1.0)):
     points.position[:, 0], points.position[:, 1] = (axis.ravel() for axis in np.meshgrid(x, x))
     points.position[:, 2] = 0
     points.ng[:] = points.ns[:] = normal
+    points.error[:] = 1e-6
     return points
 
 
@@ -25,19 +33,44 @@ def spot(n, width, height=0.0):
     photons = Photons.allocate(n)
     photons.position[:, :2] = np.random.default_rng(1).normal(0, width, (n, 2))
     photons.position[:, 2] = height
-    photons.normal[:], photons.direction[:], photons.flux[:], photons.group[:] = (0, 0, 1), (0, 0, -1), 1 / n, 0
+    photons.normal[:], photons.direction[:], photons.flux[:], photons.side[:], photons.group[:] = (0, 0, 1), (0, 0, -1), 1 / n, 1, 0
     return photons
 
 
-def lit(photons, points):
-    """Irradiance (N, 3)."""
-    out = np.zeros((len(points.pixel), 3), np.float32)
-    add_caustics(None, arranged(photons, NEAREST), points, 1, 2, out)
-    return out
+def tables_of(build, stack, *parts, lamps=None, materials=None):
+    """The tables of a scene of such parts."""
+    corners, faces, n = [], [], 0
+    for points, triangles in parts:
+        corners.append(points)
+        faces.append(np.asarray(triangles) + n)
+        n += len(points)
+    geometry = build.geometry(np.concatenate(corners), np.concatenate(faces))
+    scene = build.scene(geometry, build.materials((0.5, 0.0)) if materials is None else materials, lamps=lamps)
+    rays = stack.enter_context(RayScene(geometry.vertices, geometry.triangles))
+    return transport(geometry, scene.materials.tables, rays.tables, build_emitters(scene))
+
+
+def square(build, half, height=0.0):
+    """A floor of this half side (m)."""
+    return build.quads([(-half, -half, height), (half, -half, height), (half, half, height), (-half, half, height)])
+
+
+@pytest.fixture(scope="module")
+def lit(build):
+    """(photons, points) -> irradiance (N, 3)."""
+    with ExitStack() as stack:
+        scene = tables_of(build, stack, square(build, 1.0, height=-99.0))
+
+        def lit(photons, points):
+            out = np.zeros((len(points.pixel), 3), np.float32)
+            add_caustics(scene, arranged(photons, NEAREST), points, 1, 2, out)
+            return out
+
+        yield lit
 
 
 @pytest.mark.parametrize("n", [1500, 8000])
-def test_all_light_arrives_and_stays_near_where_it_fell(n):
+def test_all_light_arrives_and_stays_near_where_it_fell(lit, n):
     points = plane()
     found = lit(spot(n, 0.3), points)
     assert found[:, 1].sum() * PITCH**2 == pytest.approx(1, rel=0.02)
@@ -48,11 +81,11 @@ def test_all_light_arrives_and_stays_near_where_it_fell(n):
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (1.0, 0.0, 0.0)])
-def test_other_sides_stay_dark(normal):
+def test_other_sides_stay_dark(lit, normal):
     assert not lit(spot(2000, 0.3), plane(normal)).any()
 
 
-def test_what_lies_above_stays_dark():
+def test_what_lies_above_stays_dark(lit):
     assert not lit(spot(2000, 0.3, height=-0.5), plane()).any()
 
 
@@ -62,7 +95,7 @@ def one_by_one(photons, points, radius):
     for p in range(len(radius)):
         away = (photons.position[p] - points.position).astype(np.float64)
         falls = 1 - (away**2).sum(axis=1) / radius[p] ** 2
-        alike = (points.ng @ photons.normal[p] > 0.7) & (np.abs((points.ng * away).sum(axis=1)) <= 0.25 * radius[p])
+        alike = (points.ng @ photons.normal[p] > 0.7) & (np.abs((points.ng * away).sum(axis=1)) <= 0.1 * radius[p])
         cosines = points.ns @ -photons.direction[p] / (photons.normal[p] @ -photons.direction[p])
         weight = 2 / np.pi / radius[p] ** 2 * np.maximum(falls, 0) * np.clip(cosines, 0, 2)
         out += np.where(alike, weight, 0)[:, None] * photons.flux[p]
@@ -70,7 +103,7 @@ def one_by_one(photons, points, radius):
 
 
 @pytest.mark.parametrize("far", [0.0, 5000.0])
-def test_what_each_photon_lights_is_found(far):
+def test_what_each_photon_lights_is_found(lit, far):
     points, rng = plane(), np.random.default_rng(2)
     photons = spot(600, 0.6)
     photons.position[300:, :2] = rng.normal(0.5, 0.002, (300, 2))  # a focus beside dim light: many sizes of disks
@@ -83,3 +116,60 @@ def test_what_each_photon_lights_is_found(far):
     assert radius.max() > 16 * radius.min()
     wanted = one_by_one(photons, points, radius)
     np.testing.assert_allclose(lit(photons, points), wanted, rtol=1e-3, atol=1e-4 * wanted.max())
+
+
+def test_at_edges_no_light_is_lost(build):
+    half = SIDE * PITCH / 2
+    photons = spot(1500, 1.0)
+    photons.position[:, :2] = np.random.default_rng(3).random((1500, 2)) * (0.2, 4.0) - (half, 2.0)  # a strip along an edge
+    with ExitStack() as stack:
+        scene, points = tables_of(build, stack, square(build, half)), plane()
+        caustics = arranged(photons, NEAREST)
+        before, after = np.zeros((2, len(points.pixel), 3), np.float32)
+        add_caustics(scene, caustics, points, 1, 2, before)
+        keep_light(scene, caustics, 1, 2)
+        add_caustics(scene, caustics, points, 1, 2, after)
+    assert before[:, 0].sum() * PITCH**2 < 0.93
+    assert after[:, 0].sum() * PITCH**2 == pytest.approx(1, rel=0.03)
+
+
+def test_nothing_shines_through_walls(build):
+    wall = build.quads([(0, -2, 0), (0, 2, 0), (0, 2, 1), (0, -2, 1)])
+    points, photons = plane(), spot(1500, 0.3)
+    photons.position[:, 0] = -np.abs(photons.position[:, 0]) - 0.02
+    photons.entry[:] = (-1, 0, 0.5)
+    half = SIDE * PITCH / 2
+    with ExitStack() as stack:
+        scene = tables_of(build, stack, square(build, half), wall)
+        caustics = arranged(photons, NEAREST, tested=True, every=2)
+        keep_light(scene, caustics, 1, 2)
+        found = np.zeros((len(points.pixel), 3), np.float32)
+        add_caustics(scene, caustics, points, 1, 2, found)
+    behind = points.position[:, 0] > 0
+    assert not found[behind].any()
+    assert found[:, 0].sum() * PITCH**2 == pytest.approx(1, rel=0.05)
+
+
+def test_what_lobes_reflect_is_the_light_of_the_virtual_lights(build):
+    below, above = square(build, 2), build.quads([(-2, -2, 2), (-2, 2, 2), (2, 2, 2), (2, -2, 2)])
+    sides = [build.quads([(-2, y, 0), (2, y, 0), (2, y, 2), (-2, y, 2)][::turn]) for y, turn in ((-2, -1), (2, 1))] + [
+        build.quads([(x, -2, 0), (x, 2, 0), (x, 2, 2), (x, -2, 2)][::turn]) for x, turn in ((-2, 1), (2, -1))
+    ]
+    lamp = build.lamps(build.lamp(sc.POINT, 5.0, position=(0.3, 0.2, 0.7), radius=0.1))
+    with ExitStack() as stack:
+        scene = tables_of(
+            build, stack, below, above, *sides, lamps=lamp, materials=build.glossy_materials((0.5, 0.5), albedo=0.3, roughness=0.3)
+        )
+        photons, _ = trace_photons(scene, np.float32([(-2, -2, 0), (2, 2, 2)]), 20000, 1 << 17, 4, seed=1, threads=2, lobes=True)
+        vpls, _ = trace_by_power(scene, 1 << 15, 1, seed=2)
+    shines = vpls.take(vpls.shine > 0)
+    along = np.einsum("nk,nk->n", shines.normal, shines.surface_normal)
+    cut = along / np.sqrt(along**2 + (1 - along**2) / (1 + shines.sharpness))
+    leaving = (shines.flux[:, 1] * (1 + cut) / 2).sum()
+    assert leaving > 0.5
+    assert photons.flux[:, 1].sum() == pytest.approx(leaving, rel=0.03)
+    np.testing.assert_allclose(np.linalg.norm(photons.direction, axis=1), 1, rtol=1e-4)
+    assert (np.einsum("nk,nk->n", photons.normal, photons.direction) < 0).all()
+    # They fly straight from where they were reflected.
+    away = photons.position - photons.entry
+    np.testing.assert_allclose(away / np.linalg.norm(away, axis=1)[:, None], photons.direction, atol=0.01)
