@@ -224,7 +224,9 @@ def direct_stage(
         if settings.bounces > 0 and bends_light(tables):
             # The cache's emitters are aimed at what is seen.
             sources = tables._replace(emitters=sampler.emitters) if sampler and tables is every else tables
-            caustics, rays = by_lenses(sources, points.position, settings.vpls, settings.bounces, seed, threads)
+            caustics, rays = by_lenses(
+                sources, points.position, settings.vpls, settings.bounces, seed, threads, tick and (lambda _: tick(1.0))
+            )
             if caustics:
                 add_caustics(tables, caustics, points, seed, threads, light.irradiance_by_glass)
             run.rays["light"] += rays

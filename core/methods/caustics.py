@@ -36,11 +36,12 @@ from ..surfaces.microfacet import SMALLEST_ALPHA
 from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import OUTSIDE, evaluate_along, is_lens, passed_glass
-from ..threads import run_chunks
+from ..threads import Progress, run_chunks
 from ..transport import Transport
 
 CHUNK = 4096  # particles a chunk
 GLANCE, PILOT = 1 << 14, 1 << 16  # particles that tell whether any meet a lens, and where
+MARGIN = 0.01  # of the extent of the points, around them, in which photons count as useful
 TELLING = 64  # photons that tell where
 PHOTONS_A_POINT = 0.125  # wanted
 FEWEST, MOST = 1 << 14, 1 << 15  # of them in any case
@@ -144,8 +145,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
             receives = seen & DIFFUSE != 0 and (thrown or lights(emitters, e, scene.object, triangle))
             if lobes and not thrown and not (seen & hides and emitters.flags[e] & CASTS_SHADOW):
                 # It is lit, and so is what lies behind it: the particle does one or the other.
-                if not receives or uniform(seed, i, layer, 19) < _HALF:
-                    passes = True
+                passes = not receives or uniform(seed, i, layer, 19) < _HALF
                 if receives:
                     r, g, b = _2 * r, _2 * g, _2 * b
                 if passes:
@@ -241,7 +241,9 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
     return n, rays
 
 
-def _traced(scene: Transport, particles: int, seed: int, threads: int, lobes: bool, bounces: int) -> tuple[Photons, int]:
+def _traced(
+    scene: Transport, particles: int, seed: int, threads: int, progress: Progress | None, lobes: bool, bounces: int
+) -> tuple[Photons, int]:
     """Photons of so many particles, whose flux is still times the number of particles, and the rays traced."""
 
     def work(begin, end):
@@ -249,23 +251,28 @@ def _traced(scene: Transport, particles: int, seed: int, threads: int, lobes: bo
         n, rays = _fly(scene, begin, end, np.uint32(seed), lobes, bounces, room)
         return Photons(*(column[:n] for column in room)), rays
 
-    parts = run_chunks(work, particles, CHUNK, threads)
+    parts = run_chunks(work, particles, CHUNK, threads, progress)
     return Photons(*(np.concatenate(columns) for columns in zip(*(part for part, _ in parts)))), sum(rays for _, rays in parts)
 
 
 def trace_photons(
-    scene: Transport, position: np.ndarray, wanted: float, most: int, bounces: int, seed: int, threads: int = 0, *, lobes: bool = False
-) -> tuple[Photons, int]:
+    scene: Transport, position: np.ndarray, wanted: float, most: int, bounces: int, seed: int, threads: int = 0,
+    progress: Progress | None = None, *, lobes: bool = False,
+) -> tuple[Photons, int]:  # fmt: skip
     """About so many photons `wanted` around points (N, 3), of `most` particles, none where nothing throws light on anything; and the rays traced.
 
     Their density, flux a unit of area, is the irradiance (W/m^2) that shadow rays miss; or, with `lobes`, what glossy surfaces reflect
     of the lamps' light at first hand.  bounces: as of the picture.
+
+    Raises:
+        core.threads.Cancelled: `progress` returned False.
     """
     low, high = bounds(position)
-    how = threads, lobes, bounces
+    margin = MARGIN * (high - low).max()
+    how = threads, progress, lobes, bounces
 
     def useful(photons: Photons) -> np.ndarray:
-        return ((photons.position >= low) & (photons.position <= high)).all(axis=1)
+        return ((photons.position >= low - margin) & (photons.position <= high + margin)).all(axis=1)
 
     photons, rays = _traced(scene, GLANCE, seed, *how)
     if not useful(photons).any():
@@ -288,10 +295,12 @@ def trace_photons(
     return photons, rays
 
 
-def by_lenses(scene: Transport, position: np.ndarray, vpls: int, bounces: int, seed: int, threads: int = 0) -> tuple[Caustics | None, int]:
+def by_lenses(
+    scene: Transport, position: np.ndarray, vpls: int, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None
+) -> tuple[Caustics | None, int]:
     """What lenses throw on points (N, 3), None for nothing, beside so many VPLs; and the rays traced."""
     wanted = min(max(FEWEST, PHOTONS_A_POINT * len(position)), MOST) * min(1.0, vpls / VPLS)
-    photons, rays = trace_photons(scene, position, wanted, MOST_FLOWN, bounces, seed, threads)
+    photons, rays = trace_photons(scene, position, wanted, MOST_FLOWN, bounces, seed, threads, progress)
     if len(photons.group) <= NEAREST:
         return None, rays
     caustics = arranged(photons, NEAREST, threads)
@@ -299,8 +308,9 @@ def by_lenses(scene: Transport, position: np.ndarray, vpls: int, bounces: int, s
 
 
 def by_lobes(
-    scene: Transport, position: np.ndarray, share: float, vpls: int, bounces: int, seed: int, threads: int = 0
-) -> tuple[Caustics | None, int]:
+    scene: Transport, position: np.ndarray, share: float, vpls: int, bounces: int, seed: int, threads: int = 0,
+    progress: Progress | None = None,
+) -> tuple[Caustics | None, int]:  # fmt: skip
     """What glossy surfaces throw on points (N, 3) of the lamps' light, None where that is little, beside so many VPLs; and the rays traced.
 
     share: of the points' light that it is, about.
@@ -309,7 +319,7 @@ def by_lobes(
         return None, 0
     part = min(1.0, max(share / MUCH, LEAST_PART))  # of less light, more noise is as good
     part *= min(1.0, vpls / VPLS)
-    photons, rays = trace_photons(scene, position, part * MOST, MOST_BY_LOBES, bounces, seed, threads, lobes=True)
+    photons, rays = trace_photons(scene, position, part * MOST, MOST_BY_LOBES, bounces, seed, threads, progress, lobes=True)
     nearest = max(LEAST_NEAREST, int(part * NEAREST_BY_LOBES))
     if len(photons.group) < MANY * nearest:
         return None, rays

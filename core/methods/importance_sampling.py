@@ -598,7 +598,7 @@ class ImportanceSampling:
         """
         scene = scene._replace(emitters=self.emitters)
         thrown_on = throwing(self.probes, self.links, self.cache)
-        photon_rays = self._trace_photons(scene, points, count, self.seed + 6 + BATCH_SEED * (turn or 0))
+        photon_rays = self._trace_photons(scene, points, count, self.seed + 6 + BATCH_SEED * (turn or 0), part(progress, 0.0, 0.0))
         vpls, counts = vpl_pool(
             scene,
             points,
@@ -624,10 +624,10 @@ class ImportanceSampling:
         counts["shadow"] += self._redirect(thrown_on)
         return self.vpls, counts
 
-    def _trace_photons(self, scene: Transport, points: ShadingPoints, count: int, seed: int) -> int:
+    def _trace_photons(self, scene: Transport, points: ShadingPoints, count: int, seed: int, progress: Progress | None) -> int:
         """Photons in place of virtual lights and gather rays for what lobes reflect of the lamps, where that is much; the rays traced."""
         share = shine_share(self.probes, self.links, self.cache)
-        self.caustics, rays = by_lobes(scene, points.position, share, count, self.bounces, seed, self.threads)
+        self.caustics, rays = by_lobes(scene, points.position, share, count, self.bounces, seed, self.threads, progress)
         if self.caustics:
             cache, shine = self.cache, self.links.shine
             lit = np.maximum(0, cache.lit - cache.trust[:, None] * shine)
@@ -706,7 +706,7 @@ class ImportanceSampling:
 
         self.rays += sum(run_chunks(work, n, CHUNK, self.threads, progress))
         if self.caustics:
-            self.rays += add_caustics(self.scene, self.caustics, points, self.seed + 8, self.threads, out)
+            self.rays += add_caustics(self.scene, self.caustics, points, self.seed + 8 + first, self.threads, out)
         self.found = sights, parts, gathered
         self.gathered = GatherRays(gather, met, self.seed + 3, first)
         looks = np.minimum(np.maximum(1, samples // PICKS), len(self.lights))
