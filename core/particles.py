@@ -80,6 +80,7 @@ BRIGHTEST = np.float32(8.0)
 # Times 1 / roughness^4: the sharpness of a light that shines about as widely as the lobe that its direction was drawn from.
 _AS_WIDE = np.float32(0.25)
 _MORE = 16  # times as many particles are tried where none has landed
+SHINE, THROUGH = 1, 2
 _NESTED = 4  # fronts of glass, each within the last, that a particle owes for
 _MET = 0.2  # of what passes an angled surface, at least, tries what that keeps
 _0 = np.float32(0.0)
@@ -94,8 +95,8 @@ class Vpls(NamedTuple):
     geometric normal in any case.  flux: (M, 3) float32, W leaving (what
     the surface itself hides of a glossy reflection included); the irradiance at a point x is flux / pi * cos cos' / r^2.
     emitter: (M,) int32, where the light came from.  bounce: (M,) int32, 1 for light that left one surface.
-    side: (M,) int32, of the surface, as `surface_side` has it.  shine: (M,) uint8, 1 where a lamp's light was reflected by a glossy lobe that
-    is not `layout.WIDE`.  sharpness: (M,) float32, b of a light that shines with (1 + b) c / (1 + b (1 - c^2))^2 instead of the cosine c.
+    side: (M,) int32, of the surface, as `surface_side` has it.  shine: (M,) uint8, `SHINE` where a lamp's light was reflected by a glossy lobe that
+    is not `layout.WIDE`, `THROUGH` where other light was reflected by a glossy lobe or came through a translucent surface.  sharpness: (M,) float32, b of a light that shines with (1 + b) c / (1 + b (1 - c^2))^2 instead of the cosine c.
     """
 
     position: np.ndarray
@@ -421,7 +422,11 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         flying[lane] = False
                         continue
                     lit, sharp = _1, _0
-                    shine = glossy and bounce == 0 and surface[ROUGHNESS] < WIDE
+                    shine = np.uint8(0)
+                    if bounce > 0:
+                        shine = np.uint8(THROUGH if glossy or transmitted else 0)
+                    elif glossy and surface[ROUGHNESS] < WIDE:
+                        shine = np.uint8(SHINE)
                     if glossy:
                         wx, wy, wz, r, g, b = reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2)
                         r, g, b = r / chance, g / chance, b / chance

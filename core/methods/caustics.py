@@ -267,6 +267,8 @@ def trace_photons(
     Raises:
         core.threads.Cancelled: `progress` returned False.
     """
+    if not len(position):
+        return Photons.allocate(0), 0
     low, high = bounds(position)
     margin = MARGIN * (high - low).max()
     how = threads, progress, lobes, bounces

@@ -21,7 +21,7 @@ from ..jit import inlined, kernel, leaf
 from ..lamps import focus_share, focused
 from ..lamps.direct import set_point_lobe
 from ..lamps.escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray
-from ..particles import BRIGHTEST, Vpls, is_ahead, trace_by_power
+from ..particles import BRIGHTEST, SHINE, THROUGH, Vpls, is_ahead, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
 from ..rays.packet import (
@@ -565,7 +565,9 @@ class ImportanceSampling:
         cell = look_up(self.cache, vpls.position, vpls.surface_normal, vpls.side, self.seed + 2)
         share = self.cache.share[cell] * np.where(vpls.bounce == 1, np.float32(1), self.cache.later)
         # What a glossy surface reflects of the lamps has a direction, which the cache does not know.
-        return np.where(cell >= 0, np.where(vpls.shine > 0, self.cache.shine * self.cache.trust[cell], share), np.float32(0))
+        share = np.where(vpls.shine == SHINE, self.cache.shine * self.cache.trust[cell], share)
+        # Other light that they reflect has one too: gather rays find it, for a cosine would spread it to where none is.
+        return np.where((cell >= 0) & (vpls.shine != THROUGH), share, np.float32(0))
 
     def _weigh(self, vpls: Vpls) -> None:
         """Leaves light to the gather rays from where lights are too strong, by the first of them."""
@@ -636,7 +638,7 @@ class ImportanceSampling:
 
     def _redirect(self, first: np.ndarray) -> int:
         """Tells the cache where lobes throw the lamps' light, of the probes `first` (P,); the shadow rays traced."""
-        vpls, n = self.vpls.take(self.vpls.shine > 0), len(first)
+        vpls, n = self.vpls.take(self.vpls.shine == SHINE), len(first)
         if not (n and (len(vpls.bounce) or self.caustics)):
             return 0
         points = ShadingPoints.allocate(n)

@@ -311,12 +311,12 @@ def _links(probes, cache, begin, end, seed, link_cell):
 
 def _solve(
     probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, root: np.ndarray, level_of: np.ndarray,
-    near: np.float32, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, beneath: np.ndarray, threads: int, go_on: Callable[[float], None],
+    near: np.float32, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, beneath: np.ndarray, through: np.ndarray, threads: int, go_on: Callable[[float], None],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
 
     halves: (2, C, 3 G), its `row` again, as half of the paths tell it;  shine: (2, C, 3 G), the part of that which came from lamps
-    and was reflected by a glossy lobe.  first_of: (2, C, 3 G), all that came straight from lamps.  beneath: (2, C, 3 G), of it what came from below facets.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
+    and was reflected by a glossy lobe.  through: (2, C, 3 G), the part that glossy links have brought.  first_of: (2, C, 3 G), all that came straight from lamps.  beneath: (2, C, 3 G), of it what came from below facets.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
 
     Returns (2, C) float32: the weight of the probes of each cell, of either half; `order` and `unit` of `Links`.
     """
@@ -395,6 +395,8 @@ def _solve(
         gathered = bounce == row and (step + 1 == len(schedule) or schedule[step + 1][0] > row)
         if gathered:
             halves[:] = summed(carried)
+            if glossy.any():
+                through[:] = summed(np.where(glossy[:, None], carried, _0))
             total = halves.sum(axis=0)
         else:
             total = np.zeros_like(direct)
@@ -405,9 +407,11 @@ def _solve(
         if gathered:
             for h in range(2):
                 smooth(halves[h], linked_of[h], unit, parent, order, _HALF * likeness)
+                if glossy.any():
+                    smooth(through[h], linked_of[h], unit, parent, order, _HALF * likeness)
             first_of[:] = direct_of * clear
             halves += first_of
-            for part in (halves, first_of):
+            for part in (halves, first_of, through):
                 part *= scale
             for part in (shine, beneath):
                 part *= clear * scale
@@ -677,7 +681,7 @@ def build_light_cache(
     go_on(0.3)
     level_of, centre, side_of = level_of[:count].copy(), centre[:count].copy(), side_of[:count].copy()
     radiosity = np.zeros((bounces, count, probes.direct.shape[1]), np.float32)
-    halves, shine, first_of, beneath = (np.zeros((2, count, probes.direct.shape[1]), np.float32) for _ in range(4))
+    halves, shine, first_of, beneath, through = (np.zeros((2, count, probes.direct.shape[1]), np.float32) for _ in range(5))
     one = np.float32(1)
     cache = LightCache(
         origin, size, keys, slot, radiosity, halves[0], shine[0], halves[0], np.zeros(count, np.float32), one, one,
@@ -694,7 +698,7 @@ def build_light_cache(
     row = (bounces if gathered is None else gathered) - 1
     number_of, order, unit = _solve(
         probes, cells, link_cell, seen_cell, parent, root, level_of, np.float32(NEAR * size), radiosity, row, halves, shine, first_of,
-        beneath, threads, go_on,
+        beneath, through, threads, go_on,
     )  # fmt: skip
     tau = np.float32(max(seen_light(cache, probes, seed + 1), 1e-30))
     half, bright = _half(np.arange(len(probes.valid))), np.zeros((2, count), np.float32)
@@ -706,7 +710,7 @@ def build_light_cache(
     counts = number_of / np.maximum(number, np.float32(1e-6))
     later += relied * (1 - later)
     sent, lit, thrown, share = divided(
-        halves, shine, first_of, beneath, counts, bright, number, tau, parent, np.float32(later), np.float32(relied)
+        halves, shine, first_of, beneath, through, counts, bright, number, tau, parent, np.float32(later), np.float32(relied)
     )
     links = Links(cells, link_cell, _weights(probes, NEAR * size), thrown, parent, order, unit)
     return cache._replace(sent=sent, lit=lit, dull=sent, share=share, tau=tau, later=np.float32(later), root=root), links

@@ -19,14 +19,16 @@ _1 = np.float32(1.0)
 
 
 def divided(
-    halves: np.ndarray, shine: np.ndarray, first: np.ndarray, beneath: np.ndarray, counts: np.ndarray, bright: np.ndarray, number: np.ndarray,
+    halves: np.ndarray, shine: np.ndarray, first: np.ndarray, beneath: np.ndarray, through: np.ndarray,
+    counts: np.ndarray, bright: np.ndarray, number: np.ndarray,
     tau: np.float32, parent: np.ndarray, later: np.float32, relied: np.float32,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """`sent` (C, 3 G) and `lit` (C, 3 G) of a light cache, `shine` (C, 3 G) of its links, and `share` (C,).
 
     halves: (2, C, 3 G) W/m^2, the light that gather rays look up, as half of the paths tells it.  shine: (2, C, 3 G), the part of that
     which virtual lights carry in any case.  first: (2, C, 3 G), the part of it that has left no other surface before; of the rest, lights carry
-    `later` times what they else would.  beneath: (2, C, 3 G), the part of `first` that they have none of.  counts: (2, C), how much of each cell either half knows, 1 in all.  bright: (2, C), how
+    `later` times what they else would.  beneath: (2, C, 3 G), the part of `first` that they have none of.  through: (2, C, 3 G), the part
+    of the rest that they have none of.  counts: (2, C), how much of each cell either half knows, 1 in all.  bright: (2, C), how
     bright each cell is as the *other* half tells it.  number: (C,), the weight of each cell's probes.  parent: (C,), the next coarser
     cell, -1 for none.  relied: the part of all other light that lights carry, too.
     """
@@ -41,7 +43,10 @@ def divided(
         light = counts[h][:, None] * halves[h]
         known = counts[h][:, None] * first[h]
         direct = known - counts[h][:, None] * beneath[h]
-        lights = part[:, None] * (direct + later * (light - known)) + (counts[h] * (_1 - part))[:, None] * shine[h]
+        lights = (
+            part[:, None] * (direct + later * (light - known - counts[h][:, None] * through[h]))
+            + (counts[h] * (_1 - part))[:, None] * shine[h]
+        )
         share += counts[h] * part
         for part_of, out, aside in ((light, sent, rare[0]), (lights, lit, rare[1]), (counts[h][:, None] * shine[h], thrown, rare[2])):
             out += (_1 - beyond) * part_of
