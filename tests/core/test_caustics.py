@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from lumigate.core import scene as sc
 from lumigate.core.lamps import build_emitters
 from lumigate.core.methods.caustics import NEAREST, SPARSE, Photons, add_caustics, arranged, keep_light, trace_photons
-from lumigate.core.particles import trace_by_power
+from lumigate.core.particles import SHINE, trace_by_power
 from lumigate.core.rays import RayScene
 from lumigate.core.transport import transport
 from lumigate.core.view.points import ShadingPoints
@@ -162,7 +162,7 @@ def test_what_lobes_reflect_is_the_light_of_the_virtual_lights(build):
         )
         photons, _ = trace_photons(scene, np.float32([(-2, -2, 0), (2, 2, 2)]), 20000, 1 << 17, 4, seed=1, threads=2, lobes=True)
         vpls, _ = trace_by_power(scene, 1 << 15, 1, seed=2)
-    shines = vpls.take(vpls.shine > 0)
+    shines = vpls.take(vpls.shine == SHINE)
     along = np.einsum("nk,nk->n", shines.normal, shines.surface_normal)
     cut = along / np.sqrt(along**2 + (1 - along**2) / (1 + shines.sharpness))
     leaving = (shines.flux[:, 1] * (1 + cut) / 2).sum()
