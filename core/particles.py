@@ -80,7 +80,7 @@ BRIGHTEST = np.float32(8.0)
 # Times 1 / roughness^4: the sharpness of a light that shines about as widely as the lobe that its direction was drawn from.
 _AS_WIDE = np.float32(0.25)
 _MORE = 16  # times as many particles are tried where none has landed
-SHINE, THROUGH = 1, 2
+SHINE, THROUGH = 1, 2  # kinds of lights, `Vpls.shine`
 _NESTED = 4  # fronts of glass, each within the last, that a particle owes for
 _MET = 0.2  # of what passes an angled surface, at least, tries what that keeps
 _0 = np.float32(0.0)
@@ -96,7 +96,8 @@ class Vpls(NamedTuple):
     the surface itself hides of a glossy reflection included); the irradiance at a point x is flux / pi * cos cos' / r^2.
     emitter: (M,) int32, where the light came from.  bounce: (M,) int32, 1 for light that left one surface.
     side: (M,) int32, of the surface, as `surface_side` has it.  shine: (M,) uint8, `SHINE` where a lamp's light was reflected by a glossy lobe that
-    is not `layout.WIDE`, `THROUGH` where other light was reflected by a glossy lobe or came through a translucent surface.  sharpness: (M,) float32, b of a light that shines with (1 + b) c / (1 + b (1 - c^2))^2 instead of the cosine c.
+    is not `layout.WIDE`, `THROUGH` where other light was reflected by a glossy lobe or came through a translucent surface, else 0.
+    sharpness: (M,) float32, b of a light that shines with (1 + b) c / (1 + b (1 - c^2))^2 instead of the cosine c.
     """
 
     position: np.ndarray

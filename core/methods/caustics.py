@@ -40,7 +40,7 @@ from ..threads import Progress, run_chunks
 from ..transport import Transport
 
 CHUNK = 4096  # particles a chunk
-GLANCE, PILOT = 1 << 14, 1 << 16  # particles that tell whether any meet a lens, and where
+GLANCE, PILOT = 1 << 14, 1 << 16  # particles that tell whether any meet a lens or a lobe, and where
 MARGIN = 0.01  # of the extent of the points, around them, in which photons count as useful
 TELLING = 64  # photons that tell where
 PHOTONS_A_POINT = 0.125  # wanted
@@ -50,10 +50,10 @@ MOST_FLOWN, MOST_BY_LOBES = 1 << 20, 1 << 18  # particles; virtual lights could 
 NEAREST = 48  # photons among which the light of one is spread that lenses have bent
 NEAREST_BY_LOBES = 128  # the same of what lobes reflect, which is less sharp
 WORTHWHILE = 0.02  # share of the view's light that lobes throw
-LEAST_NEAREST = 32  # of them, where photons are few
-MUCH, LEAST_PART = 0.2, 0.5  # of which there are all photons, and least
-MANY = 4  # times the neighbours, at least, are all photons
-RAYS_A_DISK = 8
+LEAST_NEAREST = 32  # neighbours, where photons by lobes are few
+MUCH, LEAST_PART = 0.2, 0.5  # share of the view's light from which on all photons are traced, and the least part of them
+MANY = 4  # times as many photons as neighbours, at least: fewer tell nothing
+RAYS_A_DISK = 8  # that tell how much of it there is
 EVERY = 4  # of the photons around it, each point looks at so-manyth: its own noise is the denoiser's
 SPARSE = 2.0  # times the median of the distances at which they lie: none is spread farther
 _SURFACES = 32  # that a photon meets at most

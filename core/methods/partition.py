@@ -20,8 +20,7 @@ _1 = np.float32(1.0)
 
 def divided(
     halves: np.ndarray, shine: np.ndarray, first: np.ndarray, beneath: np.ndarray, through: np.ndarray,
-    counts: np.ndarray, bright: np.ndarray, number: np.ndarray,
-    tau: np.float32, parent: np.ndarray, later: np.float32, relied: np.float32,
+    counts: np.ndarray, bright: np.ndarray, number: np.ndarray, tau: np.float32, parent: np.ndarray, later: np.float32, relied: np.float32,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """`sent` (C, 3 G) and `lit` (C, 3 G) of a light cache, `shine` (C, 3 G) of its links, and `share` (C,).
 

@@ -23,7 +23,10 @@ _1 = np.float32(1.0)
 
 @kernel
 def _linked(probes, first, links, trust, g_max, by_photons, carried):
-    """Of each probe first[i] (P,) into row i of `carried` (P, 3 G), W/m^2: light that has come from lobes over its link, as far as virtual lights have it, or all `by_photons`."""
+    """Of each probe first[i] (P,) into row i of `carried` (P, 3 G), W/m^2: light that has come from lobes over its link.
+
+    All of it `by_photons`, else as far as virtual lights have it.
+    """
     for i in range(len(first)):
         p = first[i]
         cell = links.link_cell[p]

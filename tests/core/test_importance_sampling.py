@@ -10,7 +10,7 @@ from lumigate.core.methods.importance_sampling import ImportanceSampling, light_
 from lumigate.core.methods.light_cache import DEPTH, Probes, build_light_cache, look_up, no_cache
 from lumigate.core.methods.partition import strengths, trusted
 from lumigate.core.methods.probes import trace_probes
-from lumigate.core.particles import SHARPEST, Vpls, _axis, trace_by_power, trace_particles
+from lumigate.core.particles import SHARPEST, SHINE, Vpls, _axis, trace_by_power, trace_particles
 from lumigate.core.pipeline import render
 from lumigate.core.rays import RayScene
 from lumigate.core.settings import RenderSettings
@@ -317,7 +317,7 @@ def test_only_what_comes_straight_from_lamps_is_reflected_by_sharp_lights(build)
     scene = build.scene(slabs, build.glossy_materials((0.5, 0.0), albedo=0.4, roughness=0.2), lamps=lamp)
     with RayScene(slabs.vertices, slabs.triangles) as rays:
         vpls, _ = trace_by_power(transport(slabs, scene.materials.tables, rays.tables, build_emitters(scene)), 2048, 3, seed=1)
-    assert vpls.sharpness[vpls.shine == 1].min() > 1
+    assert vpls.sharpness[vpls.shine == SHINE].min() > 1
     assert (vpls.bounce > 1).any() and vpls.sharpness[vpls.bounce > 1].max() == 0
 
 

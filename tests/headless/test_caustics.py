@@ -22,9 +22,8 @@ LARGEST_BIAS = {"ball": 0.05, "frosted": 0.1}  # glass is frosted by lobes about
 LARGEST_ERROR = {"ball": 0.2, "frosted": 0.3}  # root mean square
 THINGS = ("ball", "frosted", "point")  # a booth of each, from left to right
 PLATES = {"polished": 0.2, "brushed": 0.4, "pipe": 0.25}  # roughness of a plate or a pipe in a booth of each
-LARGEST_METAL_ERROR = (
-    0.17  # root mean square, net of the reference's noise; by virtual lights alone .22 for the polished plate, by photons .12
-)
+# Root mean square, net of the reference's noise: of the polished plate .22 by virtual lights alone, .12 by photons.
+LARGEST_METAL_ERROR = 0.17
 
 
 def ball(x, surface):
