@@ -10,6 +10,7 @@ none by lenses and mirrors, as in Cycles, whose paths cannot meet them by chance
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -45,16 +46,18 @@ MARGIN = 0.01  # of the extent of the points, around them, in which photons coun
 TELLING = 64  # photons that tell where
 PHOTONS_A_POINT = 0.125  # wanted
 FEWEST, MOST = 1 << 14, 1 << 15  # of them in any case
-VPLS = 4096  # of fewer, as in quick pictures, photons are fewer by the same share
-MOST_FLOWN, MOST_BY_LOBES = 1 << 20, 1 << 18  # particles; virtual lights could stand for what lobes throw as well
+BY_LOBES = 1 << 17  # wanted of what lobes throw: they cost little, and the noise of what many points share is what a denoiser leaves
+VPLS = 4096  # beside fewer, as in quick pictures, photons are fewer by the same share; by lobes, beside more, more
+MOST_BESIDE = 16  # times as many, at most
+MOST_FLOWN, MOST_BY_LOBES = 1 << 20, 1 << 20  # particles; virtual lights could stand for what lobes throw as well
 NEAREST = 48  # photons among which the light of one is spread that lenses have bent
-NEAREST_BY_LOBES = 128  # the same of what lobes reflect, which is less sharp
+FEWEST_NEAREST, PART_NEAREST, MOST_NEAREST = 64, 1 / 256, 256  # the same of what lobes reflect, which is less sharp
 WORTHWHILE = 0.02  # share of the view's light that lobes throw
-LEAST_NEAREST = 32  # neighbours, where photons by lobes are few
 MUCH, LEAST_PART = 0.2, 0.5  # share of the view's light from which on all photons are traced, and the least part of them
 MANY = 4  # times as many photons as neighbours, at least: fewer tell nothing
+LOOKS = 32  # of the photons by lobes around it, each point looks at about so many, of little light a quarter: its own noise is the denoiser's
+ASKED = 16  # neighbours that tell how far more of them are
 RAYS_A_DISK = 8  # that tell how much of it there is
-EVERY = 4  # of the photons around it, each point looks at so-manyth: its own noise is the denoiser's
 SPARSE = 2.0  # times the median of the distances at which they lie: none is spread farther
 _SURFACES = 32  # that a photon meets at most
 _ALIKE = np.float32(0.7)  # cosine of the normals of a point and of a photon that lights it, at least
@@ -320,12 +323,13 @@ def by_lobes(
     if share < WORTHWHILE:
         return None, 0
     part = min(1.0, max(share / MUCH, LEAST_PART))  # of less light, more noise is as good
-    part *= min(1.0, vpls / VPLS)
-    photons, rays = trace_photons(scene, position, part * MOST, MOST_BY_LOBES, bounces, seed, threads, progress, lobes=True)
-    nearest = max(LEAST_NEAREST, int(part * NEAREST_BY_LOBES))
+    more = min(vpls / VPLS, MOST_BESIDE)
+    wanted = part * more * BY_LOBES
+    photons, rays = trace_photons(scene, position, wanted, int(more * MOST_BY_LOBES), bounces, seed, threads, progress, lobes=True)
+    nearest = int(np.clip(PART_NEAREST * wanted, FEWEST_NEAREST, MOST_NEAREST))
     if len(photons.group) < MANY * nearest:
         return None, rays
-    caustics = arranged(photons, nearest, threads, tested=True, every=EVERY)
+    caustics = arranged(photons, nearest, threads, tested=True, every=max(1, int(nearest / (LOOKS * part**2))))
     return caustics, rays + keep_light(scene, caustics, seed, threads)
 
 
@@ -377,7 +381,7 @@ def arranged(photons: Photons, nearest: int, threads: int = 0, *, tested: bool =
 
     By the nearest photons of each point instead, dark surroundings would shine.
     """
-    radius = cKDTree(photons.position).query(photons.position, [nearest + 1], workers=threads or -1)[0][:, 0]
+    radius = _reach(photons.position, nearest, threads)
     radius = np.clip(radius, 1e-9, SPARSE * np.median(radius)).astype(np.float32)
     finest = radius.min()
     level = np.ceil(np.log2(radius / finest) - 1e-3).astype(np.int64)
@@ -395,6 +399,15 @@ def arranged(photons: Photons, nearest: int, threads: int = 0, *, tested: bool =
     start = np.zeros(slots + 1, np.int64)
     np.cumsum(np.bincount(slot, minlength=slots), out=start[1:])
     return Caustics(photons.take(order), radius[order], cell[order], start, origin, edge, box, tested, every)
+
+
+def _reach(position: np.ndarray, nearest: int, threads: int) -> np.ndarray:
+    """How far about `nearest` others of the photons (P, 3) are around each, (P,) m, by the first so-manyth of them: as good, and cheaper."""
+    part = max(1, nearest // ASKED)
+    known, k = -(-len(position) // part), -(-nearest // part)
+    query = partial(cKDTree(position[:known]).query, workers=threads or -1)
+    own, others = query(position[:known], [k + 1])[0], query(position[known:], [k])[0]  # the first ones find themselves, too
+    return np.concatenate([own[:, 0], others[:, 0]])
 
 
 @kernel

@@ -54,7 +54,7 @@ from ..surfaces.visibility import OUTSIDE, encloses, evaluate_along, nearest_sur
 from ..threads import Progress, part, run_chunks
 from ..transport import Transport, is_translucent
 from ..view.points import ShadingPoints, is_transmitting, shares
-from ..vpl_pool import BATCH_SEED, Particles, vpl_pool
+from ..vpl_pool import BATCH_SEED, MOST_BATCHES, Particles, vpl_pool
 from .caustics import Caustics, add_caustics, by_lobes
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
@@ -68,7 +68,7 @@ from .wide_lobes import WIDE_ALPHA, SharedRays, bound, drawn_share, gather_densi
 
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
-KEPT = 4  # times the lights asked for stay in the pool: a point looks at one subset, and all points at more lights
+KEPT = 16  # times the lights asked for stay in the pool: a point looks at one subset, and all points at more lights
 WHOLE = 2.0  # points that are half of what their pixel shows, or more, get all rays
 PICKS = 8  # of a subset: more of them go to further subsets
 PATHS = 0.16  # of the cache a point, times the root of its rays: what they find is noisier than what the cache knows
@@ -611,7 +611,7 @@ class ImportanceSampling:
             self.threads,
             progress,
             share=self.shares,
-            batches=BATCHES if turn is None else 1,
+            batches=MOST_BATCHES if turn is None else 1,
             particles=particles,
             kept=KEPT,
             beyond=self.probes.position[thrown_on],
@@ -629,6 +629,7 @@ class ImportanceSampling:
     def _trace_photons(self, scene: Transport, points: ShadingPoints, count: int, seed: int, progress: Progress | None) -> int:
         """Photons in place of virtual lights and gather rays for what lobes reflect of the lamps, where that is much; the rays traced."""
         share = shine_share(self.probes, self.links, self.cache)
+        count *= pool_growth(len(points.pixel))
         self.caustics, rays = by_lobes(scene, points.position, share, count, self.bounces, seed, self.threads, progress)
         if self.caustics:
             cache, shine = self.cache, self.links.shine

@@ -106,16 +106,26 @@ def one_by_one(photons, points, radius):
 def test_what_each_photon_lights_is_found(lit, far):
     points, rng = plane(), np.random.default_rng(2)
     photons = spot(600, 0.6)
-    photons.position[300:, :2] = rng.normal(0.5, 0.002, (300, 2))  # a focus beside dim light: many sizes of disks
+    photons.position[::2, :2] = rng.normal(0.5, 0.002, (300, 2))  # a focus beside dim light: many sizes of disks
     slant = rng.normal((0, 0, -1), 0.3, (600, 3))
     photons.direction[:] = slant / np.linalg.norm(slant, axis=1)[:, None]
     points.position[:, 0] += np.float32(far)
     photons.position[:, 0] += np.float32(far)
-    radius = cKDTree(photons.position).query(photons.position, [NEAREST + 1])[0][:, 0]
-    radius = np.clip(radius, 0, SPARSE * np.median(radius)).astype(np.float32)
-    assert radius.max() > 16 * radius.min()
-    wanted = one_by_one(photons, points, radius)
+    disks = arranged(photons, NEAREST)
+    assert disks.radius.max() > 16 * disks.radius.min()
+    wanted = one_by_one(disks.photons, points, disks.radius)
     np.testing.assert_allclose(lit(photons, points), wanted, rtol=1e-3, atol=1e-4 * wanted.max())
+
+
+@pytest.mark.parametrize("nearest", [NEAREST, 256])
+def test_disks_reach_to_about_so_many_neighbours(nearest):
+    photons = spot(8000, 0.6)
+    radius = cKDTree(photons.position).query(photons.position, [nearest + 1])[0][:, 0]
+    disks = arranged(photons, nearest)
+    mine = disks.radius[np.lexsort(disks.photons.position.T)]
+    true = np.minimum(radius, SPARSE * np.median(radius))[np.lexsort(photons.position.T)]
+    assert np.mean((mine / true) ** 2) == pytest.approx(1, rel=0.1)
+    assert np.std(np.log(mine / true)) < 0.2
 
 
 def test_at_edges_no_light_is_lost(build):
