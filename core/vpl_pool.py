@@ -32,7 +32,10 @@ LARGE, LARGE_BATCH = 1 << 19, 2  # particles beyond which a batch has fewer: a m
 MOST_BATCHES = 16
 BATCH_SEED = 7919  # between the seeds of batches
 MOST_FLOWN = 1 << 23  # particles in all, which are in memory at once: the same for 65,536 VPLs as ever, 1 GiB for a million
-FEWEST_KEPT, MATTER_KEPT = 4, 2.0  # times the VPLs wanted, and the lights that matter: of more, some would stand for much more light than others
+FEWEST_KEPT, MATTER_KEPT = (
+    4,
+    2.0,
+)  # times the VPLs wanted, and the lights that matter: of more, some would stand for much more light than others
 ENOUGH = 1.5  # lights that matter, for each VPL wanted
 SUBSET = 96  # shading points that stand for the view
 RAYS_EACH = 8  # shadow rays that tell how much of the view a light reaches

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lumigate.core import scene as sc
+from lumigate.core import vpl_pool as pool
 from lumigate.core.inspection import contents
 from lumigate.core.lamps import build_emitters, direct_irradiance, world_tables
 from lumigate.core.lamps.emission import _focused_entry, _slabs, _spread_angle
@@ -151,6 +152,34 @@ def test_fewer_lights_carry_the_light_of_all(lit):
     assert max(len(some.bounce) for some in kept) <= 12
     mean = np.mean([some.flux.sum(axis=0, dtype=float) for some in kept], axis=0)
     np.testing.assert_allclose(mean, vpls.flux.sum(axis=0, dtype=float), rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("matter", "batches", "kept"),
+    [(400, 1, 160), (30, 1, 60), (4, 4, 40)],  # two for each light that matters, from 4 to 16 for each that is wanted
+)
+def test_particles_are_flown_until_enough_of_their_lights_matter(lit, monkeypatch, matter, batches, kept):
+    tables, points = lit
+    seeds, asked = [], []
+
+    def particles(scene, count, bounces, seed, threads):
+        seeds.append(seed)
+        return trace_particles(scene, 8, 1, seed, threads)[0].take(np.zeros(400, int)), 0
+
+    importance = np.zeros(400)
+    importance[:matter] = 1
+    monkeypatch.setattr(pool, "drop_useless", lambda vpls, *_: vpls)
+    monkeypatch.setattr(pool, "contributions", lambda *_: (importance, 0))
+    monkeypatch.setattr(pool, "resample", lambda vpls, every, count, seed: asked.append(count) or vpls)
+    lights, _ = pool.vpl_pool(tables, points, 10, 1, lambda *_: 1.0, 0, 1, particles=particles, kept=16)
+    assert (len(seeds), len(set(seeds)), asked) == (batches, batches, [kept])
+    assert len(lights.bounce) == 400 * batches
+
+
+def test_lights_that_matter():
+    assert pool.lights_that_matter(np.ones(7)) == pytest.approx(7)
+    assert pool.lights_that_matter(np.array([1.0, 1e-9, 0])) == pytest.approx(1)
+    assert pool.lights_that_matter(np.zeros(3)) == 0
 
 
 def test_vpls_shine_by_the_float64_sum_of_all_pairs():
