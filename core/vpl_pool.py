@@ -32,10 +32,7 @@ LARGE, LARGE_BATCH = 1 << 19, 2  # particles beyond which a batch has fewer: a m
 MOST_BATCHES = 16
 BATCH_SEED = 7919  # between the seeds of batches
 MOST_FLOWN = 1 << 23  # particles in all, which are in memory at once: the same for 65,536 VPLs as ever, 1 GiB for a million
-FEWEST_KEPT, MATTER_KEPT = (
-    4,
-    2.0,
-)  # times the VPLs wanted, and the lights that matter: of more, some would stand for much more light than others
+FEWEST_KEPT, MATTER_KEPT = 4, 2.0  # times the VPLs wanted, and the lights that matter: of more, some would stand for more than others
 ENOUGH = 1.5  # lights that matter, for each VPL wanted
 SUBSET = 96  # shading points that stand for the view
 RAYS_EACH = 8  # shadow rays that tell how much of the view a light reaches
@@ -159,7 +156,7 @@ def resample(vpls: Vpls, importance: np.ndarray, count: int, seed: int) -> Vpls:
 def lights_that_matter(importance: np.ndarray) -> float:
     """How many lights of equal importance would make as good a pool as those of `importance` (M,): Kish's effective size."""
     squares = float((importance**2).sum())
-    return float(importance.sum()) ** 2 / squares if squares > 0 else 0.0
+    return float(importance.sum()) ** 2 / squares if 0 < squares < np.inf else 0.0
 
 
 def vpl_pool(

@@ -55,9 +55,7 @@ FEWEST_NEAREST, PART_NEAREST, MOST_NEAREST = 64, 1 / 256, 256  # the same of wha
 WORTHWHILE = 0.02  # share of the view's light that lobes throw
 MUCH, LEAST_PART = 0.2, 0.5  # share of the view's light from which on all photons are traced, and the least part of them
 MANY = 4  # times as many photons as neighbours, at least: fewer tell nothing
-LOOKS = (
-    32  # of the photons by lobes around it, each point looks at about so many, of little light a quarter: its own noise is the denoiser's
-)
+LOOKS = 32  # of the photons by lobes around it that each point looks at, a quarter where they bring little: its own noise is the denoiser's
 ASKED = 16  # neighbours that tell how far more of them are
 RAYS_A_DISK = 8  # that tell how much of it there is
 SPARSE = 2.0  # times the median of the distances at which they lie: none is spread farther
