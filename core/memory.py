@@ -7,10 +7,12 @@ import os
 from .errors import SceneError
 from .scene import Scene
 from .settings import RenderSettings
+from .vpl_pool import BATCH, MOST_BATCHES, MOST_FLOWN
 
 # Bytes, from peaks of the process at several sizes (docs/stress.md): of a triangle with its place in Embree's tree; of a pixel in all
-# layers, denoised; of a shading point with its light and its share of the cache of light; of a VPL and what it is drawn from.
-TRIANGLE, PIXEL, POINT, VPL = 300, 662, 430, 1000
+# layers, denoised; of a shading point with its light and its share of the cache of light; of a VPL; of a
+# particle, of which the pool has up to so many at once (`vpl_pool`).
+TRIANGLE, PIXEL, POINT, VPL, PARTICLE = 300, 662, 430, 1000, 70
 POINTS_A_PIXEL = 1.6  # distinct surfaces in a pixel, in scenes of fine detail; never more than there are samples
 BASE = 600 << 20  # code, tables, Blender
 SHARE = 0.9  # of the free memory that may be used
@@ -23,7 +25,9 @@ def estimate(scene: Scene, settings: RenderSettings) -> int:
     points = pixels * min(POINTS_A_PIXEL, settings.pixel_samples)
     held = geometry.attributes.nbytes + tables.texels_u8.nbytes + tables.texels_f32.nbytes + scene.world.radiance.nbytes
     held += 0 if scene.world.seen is None else scene.world.seen.nbytes
-    return int(BASE + held + TRIANGLE * len(geometry.triangles) + PIXEL * pixels + POINT * points + VPL * settings.vpls)
+    particles = min(MOST_BATCHES * BATCH * settings.vpls, MOST_FLOWN)
+    parts = TRIANGLE * len(geometry.triangles) + PIXEL * pixels + POINT * points + VPL * settings.vpls + PARTICLE * particles
+    return int(BASE + held + parts)
 
 
 def available() -> int | None:
