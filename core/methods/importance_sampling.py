@@ -600,7 +600,8 @@ class ImportanceSampling:
         """
         scene = scene._replace(emitters=self.emitters)
         thrown_on = throwing(self.probes, self.links, self.cache)
-        photon_rays = self._trace_photons(scene, points, count, self.seed + 6 + BATCH_SEED * (turn or 0), part(progress, 0.0, 0.0))
+        beside = count if turn is None else -(-count // BATCHES)  # so many pictures' photons are averaged, too
+        photon_rays = self._trace_photons(scene, points, beside, self.seed + 6 + BATCH_SEED * (turn or 0), part(progress, 0.0, 0.0))
         vpls, counts = vpl_pool(
             scene,
             points,
