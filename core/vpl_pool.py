@@ -14,7 +14,6 @@ import numpy as np
 from .jit import kernel
 from .particles import BRIGHTEST, Vpls, trace_particles
 from .rays.offsets import shadow_segment
-from .rays.order import morton_codes
 from .rays.packet import is_occluded, new_packet, set_ray
 from .rays.trace import OPAQUE, occluded_packet
 from .references import Reference
@@ -32,7 +31,6 @@ LARGE, LARGE_BATCH = 1 << 19, 2  # particles beyond which a batch has fewer: a m
 MOST_BATCHES = 16
 BATCH_SEED = 7919  # between the seeds of batches
 MOST_FLOWN = 1 << 23  # particles in all, which are in memory at once: the same for 65,536 VPLs as ever, 1 GiB for a million
-FEWEST_KEPT, MATTER_KEPT = 4, 2.0  # times the VPLs wanted, and the lights that matter: of more, some would stand for more than others
 ENOUGH = 1.5  # lights that matter, for each VPL wanted
 SUBSET = 96  # shading points that stand for the view
 RAYS_EACH = 8  # shadow rays that tell how much of the view a light reaches
@@ -141,13 +139,11 @@ def resample(vpls: Vpls, importance: np.ndarray, count: int, seed: int) -> Vpls:
     density = DEFENSIVE * power / power.sum()
     if importance.sum() > 0:
         density = density + (1 - DEFENSIVE) * importance / importance.sum()
-    # Systematic resampling along a curve through space: what is left is spread as the light is, place by place.
-    # A light that is picked k times is one light with k shares.
-    order = np.argsort(morton_codes(vpls.position), kind="stable")
-    cdf = np.cumsum(density[order])
+    # Systematic resampling; a light that is picked k times is one light with k shares.
+    cdf = np.cumsum(density)
     density = density / cdf[-1]
     picks = np.searchsorted(cdf / cdf[-1], (np.arange(count) + np.random.default_rng(seed).random()) / count)
-    index, copies = np.unique(order[np.minimum(picks, m - 1)], return_counts=True)
+    index, copies = np.unique(np.minimum(picks, m - 1), return_counts=True)
     kept = vpls.take(index)
     kept.flux[:] *= (copies / (count * density[index]))[:, None].astype(np.float32)
     return kept
@@ -217,8 +213,7 @@ def vpl_pool(
     pool = Vpls.concatenate(parts)
     if parts:
         pool.flux[:] *= np.float32(1.0 / (batch + 1))
-        wanted = min(kept * count, max(min(kept, FEWEST_KEPT) * count, int(MATTER_KEPT * matter)))
-        pool = resample(pool, np.concatenate(importance), wanted, seed)
+        pool = resample(pool, np.concatenate(importance), kept * count, seed)
     return pool, counts
 
 

@@ -68,7 +68,7 @@ from .wide_lobes import WIDE_ALPHA, SharedRays, bound, drawn_share, gather_densi
 
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
-KEPT = 16  # times the lights asked for stay in the pool: a point looks at one subset, and all points at more lights
+KEPT = 4  # times the lights asked for stay in the pool: a point looks at one subset, and all points at more lights
 WHOLE = 2.0  # points that are half of what their pixel shows, or more, get all rays
 PICKS = 8  # of a subset: more of them go to further subsets
 PATHS = 0.16  # of the cache a point, times the root of its rays: what they find is noisier than what the cache knows
