@@ -34,6 +34,7 @@ BALANCE = np.float32(50.0)  # probes of mean brightness that the balance of the 
 MOST_BALANCE = np.float32(1.5)
 BRIGHT_PRIOR = 4.0  # probes that a coarser cell counts as where it tells how bright a finer one is
 MOST_TURNS = 8  # of glossy reflections in the cache
+LEAST_SEEN = np.float32(0.2)  # of the mean over all views: what a probe tells that sees less, all but along the surface, would be a spark
 CHUNK = 16384  # probes a chunk
 FEW_PROBES = 16384  # which tell about the size of the cells
 MISSED, DIFFUSE_LINK, GLOSSY_LINK = 0, 1, 2
@@ -741,12 +742,9 @@ def _of_all_views(probes: Probes, by_view: np.ndarray) -> Probes:
     """The probes with direct light that is the mean over all views, not what their own path sees: but for that which narrow lobes reflect."""
     if not by_view.any():
         return probes
-    seen = (1 + differences(by_view, probes.side >> 1, WITH_WIDE, probes.cosine))[:, None]
-    direct, beneath, glass = (
-        (part - probes.shine * whole) / seen + probes.shine * whole
-        for part, whole in ((probes.direct, 1), (probes.beneath, 0), (probes.glass, 0))
-    )
-    return probes._replace(direct=direct, beneath=beneath, glass=glass)
+    seen = np.maximum(LEAST_SEEN, _1 + differences(by_view, probes.side >> 1, WITH_WIDE, probes.cosine))[:, None]
+    direct = probes.shine + (probes.direct - probes.shine) / seen
+    return probes._replace(direct=direct, beneath=probes.beneath / seen, glass=probes.glass / seen)
 
 
 def _weights(probes: Probes, near: np.float32) -> np.ndarray:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from lumigate.core import scene as sc
+from lumigate.core.methods.light_cache import Probes, _of_all_views
 from lumigate.core.surfaces import ggx
 from lumigate.core.surfaces.by_view import DIFFUSE_ALONE, VIEWS, WITH_WIDE, differences, views
 from lumigate.core.surfaces.layout import (
@@ -70,3 +71,16 @@ def test_materials_that_know_the_view_themselves_are_left_alone(build, flag):
     tables.flags[1] |= flag
     assert table_of(tables).shape == (2, 2, VIEWS)
     assert not table_of(tables).any()
+
+
+def test_probes_tell_the_mean_of_all_views_whichever_theirs_is(build):
+    """But for what a narrow lobe has reflected, and without a spark where they see next to nothing."""
+    table = table_of(varnished(build, 0.0))
+    probes = Probes.allocate(3)
+    probes.side[:], probes.cosine[:], probes.valid[:] = 2, (1.0, 0.3, 0.0), 1
+    seen = 1 + differences(table, probes.side >> 1, WITH_WIDE, probes.cosine)
+    probes.shine[:] = 0.5
+    probes.direct[:] = 0.5 + seen[:, None]
+    direct = _of_all_views(probes, table).direct[:, 0]
+    np.testing.assert_allclose(direct[:2], 1.5, rtol=1e-5)
+    assert 0.5 <= direct[2] <= 1.5
