@@ -435,15 +435,18 @@ def _keep(scene, photons, radius, tested, begin, end, seed):
                 photons.position[p, 2] + a * tz + b * bz + high * mz,
             )
             far = _2 * high
-            for _ in range(_LAYERS):
+            for layer in range(_LAYERS):
                 triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, -mx, -my, -mz, _0, far, DIFFUSE)
                 rays += 1
                 if triangle < 0:
                     break
                 x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
-                if photons.side[p] * (gx * mx + gy * my + gz * mz) >= _ALIKE:
+                along = gx * mx + gy * my + gz * mz
+                # Triangles beside the photon's may turn the other way.  What lies below the first of them is a back, or seen from where the light comes.
+                if abs(along) >= _ALIKE and (tested or layer == 0 or photons.side[p] * along > _0):
                     if tested:
-                        gx, gy, gz = photons.side[p] * gx, photons.side[p] * gy, photons.side[p] * gz
+                        if along < _0:
+                            gx, gy, gz = -gx, -gy, -gz
                         sx, sy, sz, dx, dy, dz = shadow_segment(
                             x, y, z, gx, gy, gz, error, photons.entry[p, 0], photons.entry[p, 1], photons.entry[p, 2], _0, _0, _0, _0
                         )  # fmt: skip

@@ -47,7 +47,7 @@ from ..surfaces.visibility import OUTSIDE, nearest_surface
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .light_cache import LightCache, add_known, find_cell, no_cache
+from .light_cache import LightCache, add_known, find_cell, more_by_view, no_cache
 from .tails import tail_light
 from .wide_lobes import NARROW, SharedRays, balance, bound, drawn_share, gather_density, is_mirror, is_wide, known_light, no_sharing
 
@@ -234,6 +234,7 @@ def _reflect_chunk(
                 cell = find_cell(
                     cache, px, py, pz, hx, hy, hz, surface_side(material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
                 )
+                seen = -(hx * dx + hy * dy + hz * dz)
                 if cell >= 0 and shares:
                     part = balance(drawn, gather_density(shared.gather[i], across))
                     carried = _0
@@ -241,17 +242,18 @@ def _reflect_chunk(
                         clamped = min(_1, shared.g_max * t * t / max(across * abs(hx * dx + hy * dy + hz * dz), np.float32(1e-20)))
                         each = density * np.float32(n)
                         carried = clamped * bound(lobe, across, each * vr, each * vg, each * vb)
+                    turned = more_by_view(cache, cell, seen)
                     for c in range(0, known.shape[1], 3):
-                        known[i, c] += part * wr * _INV_PI * known_light(cache, cell, c, glossy, carried)
-                        known[i, c + 1] += part * wg * _INV_PI * known_light(cache, cell, c + 1, glossy, carried)
-                        known[i, c + 2] += part * wb * _INV_PI * known_light(cache, cell, c + 2, glossy, carried)
+                        known[i, c] += part * wr * _INV_PI * known_light(cache, cell, c, glossy, carried, turned)
+                        known[i, c + 1] += part * wg * _INV_PI * known_light(cache, cell, c + 1, glossy, carried, turned)
+                        known[i, c + 2] += part * wb * _INV_PI * known_light(cache, cell, c + 2, glossy, carried, turned)
                     continue
                 elif cell >= 0:
                     part = glossy * _INV_PI
-                    add_known(cache, row, cell, part * wr, part * wg, part * wb, known, i)
+                    add_known(cache, row, cell, seen, part * wr, part * wg, part * wb, known, i)
                     if row > 0 and glossy < _1:
                         part = _INV_PI - part
-                        add_known(cache, row - 1, cell, part * wr, part * wg, part * wb, known, i)
+                        add_known(cache, row - 1, cell, seen, part * wr, part * wg, part * wb, known, i)
                     continue
             if roulette:
                 go_on = min(np.float32(0.95), max(wr, wg, wb))

@@ -45,6 +45,7 @@ from ..rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..scene import DIFFUSE, EMISSIVE, TRANSPARENT
+from ..surfaces.by_view import DIFFUSE_ALONE, difference, views
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
@@ -59,7 +60,7 @@ from .caustics import Caustics, add_caustics, by_lobes
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
-from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, Probes, build_light_cache, find_cell, look_up
+from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, Probes, build_light_cache, find_cell, look_up, more_by_view
 from .partition import strengths, trusted
 from .probes import Tracer, trace_farther, trace_probes
 from .tails import path_light
@@ -258,10 +259,12 @@ def _gathered(
             cos_x = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
             clamped = min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
             if t > near:
+                turned = more_by_view(cache, cell, cos_y)
+                by_view = turned * (_1 - clamped * cache.share[cell])
                 for c in range(0, out.shape[1], 3):
-                    out[k, c] += wr * (cache.dull[cell, c] - clamped * cache.lit[cell, c])
-                    out[k, c + 1] += wg * (cache.dull[cell, c + 1] - clamped * cache.lit[cell, c + 1])
-                    out[k, c + 2] += wb * (cache.dull[cell, c + 2] - clamped * cache.lit[cell, c + 2])
+                    out[k, c] += wr * (cache.dull[cell, c] - clamped * cache.lit[cell, c] + by_view * cache.first[cell, c])
+                    out[k, c + 1] += wg * (cache.dull[cell, c + 1] - clamped * cache.lit[cell, c + 1] + by_view * cache.first[cell, c + 1])
+                    out[k, c + 2] += wb * (cache.dull[cell, c + 2] - clamped * cache.lit[cell, c + 2] + by_view * cache.first[cell, c + 2])
                     if more > _0:
                         out[k, c] += more * wr * (cache.radiosity[bounces, cell, c] - cache.radiosity[bounces - 1, cell, c])
                         out[k, c + 1] += more * wg * (cache.radiosity[bounces, cell, c + 1] - cache.radiosity[bounces - 1, cell, c + 1])
@@ -269,9 +272,9 @@ def _gathered(
                 if t > seen[lane, _REACH] and not is_mirror(scene.materials, scene.material[triangle]):
                     clamped *= seen[lane, _CARRIED]
                     for c in range(0, out.shape[1], 3):
-                        shown[k, c] += tr * seen[lane, _WEIGHT] * known_light(cache, cell, c, more, clamped)
-                        shown[k, c + 1] += tg * seen[lane, _WEIGHT + 1] * known_light(cache, cell, c + 1, more, clamped)
-                        shown[k, c + 2] += tb * seen[lane, _WEIGHT + 2] * known_light(cache, cell, c + 2, more, clamped)
+                        shown[k, c] += tr * seen[lane, _WEIGHT] * known_light(cache, cell, c, more, clamped, turned)
+                        shown[k, c + 1] += tg * seen[lane, _WEIGHT + 1] * known_light(cache, cell, c + 1, more, clamped, turned)
+                        shown[k, c + 2] += tb * seen[lane, _WEIGHT + 2] * known_light(cache, cell, c + 2, more, clamped, turned)
                 continue
             share = clamped * cache.share[cell]
             rest = max(_1 - cache.later * share, np.float32(1e-6))
@@ -291,11 +294,32 @@ def _gathered(
         )  # fmt: skip
 
 
+@inlined
+def _is_first_diffuse(vpls, j):
+    """Whether light j is a lamp's that a diffuse lobe has reflected: it shines about its surface's own normal."""
+    if vpls.bounce[j] != 1 or vpls.shine[j] != 0:
+        return False
+    nx, ny, nz = vpls.surface_normal[j, 0], vpls.surface_normal[j, 1], vpls.surface_normal[j, 2]
+    return vpls.normal[j, 0] == nx and vpls.normal[j, 1] == ny and vpls.normal[j, 2] == nz
+
+
+@inlined
+def _cosine_at(vpls, j, points, k):
+    """Cosine of the direction from light j to point k with the light's normal."""
+    dx, dy, dz = (
+        points.position[k, 0] - vpls.position[j, 0],
+        points.position[k, 1] - vpls.position[j, 1],
+        points.position[k, 2] - vpls.position[j, 2],
+    )
+    along = vpls.normal[j, 0] * dx + vpls.normal[j, 1] * dy + vpls.normal[j, 2] * dz
+    return along / max(np.float32(math.sqrt(dx * dx + dy * dy + dz * dz)), np.float32(1e-20))
+
+
 @leaf
-def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, turn, seen, lanes, out, shown, sights):
+def _trace_lights(scene, packet, rows, surface, cutouts, by_view, points, vpls, owner, light, value, turn, seen, lanes, out, shown, sights):
     """Traces the shadow rays of `lanes` pairs of a point and a light and adds what arrives; whether it does goes into `sights`.
 
-    seen: (16, 3), what wide lobes reflect of irradiance from there (1/sr), negative for nothing.
+    seen: (16, 3), what wide lobes reflect of irradiance from there (1/sr), negative for nothing.  by_view: of the `LightCache`.
     """
     for lane in range(lanes):
         k, j = owner[lane], light[lane]
@@ -323,6 +347,8 @@ def _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, li
             if not is_ahead(vpls, j, points.position[k, 0], points.position[k, 1], points.position[k, 2]):
                 r = g = b = _0
         w = value[lane] * np.float32(3.0) / (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2])
+        if _is_first_diffuse(vpls, j):
+            w *= _1 + difference(by_view, vpls.side[j] >> 1, DIFFUSE_ALONE, _cosine_at(vpls, j, points, k))
         c = 3 * scene.emitters.light_group[vpls.emitter[j]]
         r, g, b = w * r * vpls.flux[j, 0], w * g * vpls.flux[j, 1], w * b * vpls.flux[j, 2]
         if seen[lane, 0] >= _0:
@@ -374,7 +400,7 @@ def looks_of(samples, subsets):
 
 @kernel
 def _sample_lights(
-    scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, near, cell, seed, reflections, out, shown, sights, parts
+    scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, by_view, near, cell, seed, reflections, out, shown, sights, parts
 ):  # fmt: skip
     """Adds to the points begin..end-1 the light of `counts` (N,) VPLs each, picked by what they give unshadowed; the shadow rays traced.
 
@@ -384,7 +410,7 @@ def _sample_lights(
     size = lights.shape[2]
     owner, light, value = np.empty(WIDTH, np.int64), np.empty(WIDTH, np.int64), np.empty(WIDTH, np.float32)
     return _sample_lights_leaf(
-        scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, near, cell, seed, reflections, out, shown, sights, parts,
+        scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, by_view, near, cell, seed, reflections, out, shown, sights, parts,
         new_packet(), np.zeros(SURFACE, np.float32), new_registers(scene.materials), np.empty(size, np.float32),
         np.empty(size // BLOCK, np.float32), owner, light, value, np.empty(WIDTH, np.int64), np.zeros(LOBE, np.float32),
         np.empty((WIDTH, 3), np.float32),
@@ -393,7 +419,7 @@ def _sample_lights(
 
 @leaf
 def _sample_lights_leaf(
-    scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, near, cell, seed, reflections, out, shown, sights, parts,
+    scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, by_view, near, cell, seed, reflections, out, shown, sights, parts,
     packet, surface, rows, f, blocks, owner, light, value, turn, lobe, seen,
 ):  # fmt: skip
     """`_sample_lights`, its scratch given: it counts no references."""
@@ -447,11 +473,11 @@ def _sample_lights_leaf(
                 rays += 1
                 if n == WIDTH:
                     _trace_lights(
-                        scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, turn, seen, n, out, shown, sights
+                        scene, packet, rows, surface, cutouts, by_view, points, vpls, owner, light, value, turn, seen, n, out, shown, sights
                     )
                     n = np.int64(0)
     if n > 0:
-        _trace_lights(scene, packet, rows, surface, cutouts, points, vpls, owner, light, value, turn, seen, n, out, shown, sights)
+        _trace_lights(scene, packet, rows, surface, cutouts, by_view, points, vpls, owner, light, value, turn, seen, n, out, shown, sights)
     return rays
 
 
@@ -549,6 +575,7 @@ class ImportanceSampling:
         self.cache, self.links = build_light_cache(
             probes, self.bounces + (has_lobes(points) or is_translucent(scene)), self.seed, self.threads, part(progress, 0.6, 1.0),
             gathered=self.bounces, later=min(1.0, RELIABLE * focus_share(self.emitters)), relied=self.relied,
+            by_view=views(scene.materials, scene.material, scene.attributes, self.threads),
         )  # fmt: skip
         self.probes = probes
         self.near = np.float32(NEAR * self.cache.size)
@@ -653,7 +680,7 @@ class ImportanceSampling:
 
         def work(begin, end):
             return _sample_lights(
-                self.scene, receivers, sources, lights, counts, begin, end, 0, self.g_max, cutouts, self.near, self.cache.size,
+                self.scene, receivers, sources, lights, counts, begin, end, 0, self.g_max, cutouts, self.cache.by_view, self.near, self.cache.size,
                 np.uint32(self.seed + 5), 0, irradiance, irradiance, *scratch,
             )  # fmt: skip
 
@@ -703,7 +730,7 @@ class ImportanceSampling:
             gathered[begin:end] = np.einsum("nc->n", out[begin:end]) * np.float32(1 / 3)
             if lights:
                 rays += _sample_lights(
-                    self.scene, receivers, vpls, self.lights, samples, begin, end, first, self.g_max, cutouts, self.near, self.cache.size,
+                    self.scene, receivers, vpls, self.lights, samples, begin, end, first, self.g_max, cutouts, self.cache.by_view, self.near, self.cache.size,
                     np.uint32(self.seed + 4), reflections, out, shown, sights, parts,
                 )  # fmt: skip
             return rays

@@ -19,6 +19,7 @@ from ..jit import inlined, kernel, leaf
 from ..sampling.hashing import uniform
 from ..sampling.maps import orthonormal_basis
 from ..scene import bounds
+from ..surfaces.by_view import VIEWS, WITH_WIDE, difference, differences
 from ..threads import Cancelled, Progress, run_chunks
 from .partition import divided
 
@@ -33,6 +34,7 @@ BALANCE = np.float32(50.0)  # probes of mean brightness that the balance of the 
 MOST_BALANCE = np.float32(1.5)
 BRIGHT_PRIOR = 4.0  # probes that a coarser cell counts as where it tells how bright a finer one is
 MOST_TURNS = 8  # of glossy reflections in the cache
+LEAST_SEEN = np.float32(0.2)  # of the mean over all views: what a probe tells that sees less, all but along the surface, would be a spark
 CHUNK = 16384  # probes a chunk
 FEW_PROBES = 16384  # which tell about the size of the cells
 MISSED, DIFFUSE_LINK, GLOSSY_LINK = 0, 1, 2
@@ -54,7 +56,7 @@ class Probes(NamedTuple):
     albedo: (N, 3) float32, what it reflects of any irradiance by its diffuse lobe, of the first probe of each path.  error: (N,) float32, rounding error of the position (m).
     link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
     reflection, 2 by a glossy one.  side, link_side: (N,) int32, as `surface_side` has them.
-    distance: (N,) float32, from where the path came (m).  valid: (N,) uint8, whether the path came so far.
+    distance: (N,) float32, from where the path came (m).  cosine: (N,) float32, of the way there with the normal.  valid: (N,) uint8, whether the path came so far.
     """
 
     position: np.ndarray
@@ -71,6 +73,7 @@ class Probes(NamedTuple):
     side: np.ndarray
     link_side: np.ndarray
     distance: np.ndarray
+    cosine: np.ndarray
     error: np.ndarray
     valid: np.ndarray
 
@@ -83,7 +86,7 @@ class Probes(NamedTuple):
     def allocate(n: int, light_groups: int = 1) -> Probes:
         """Room for n probes, none of them valid."""
         rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, *[3 * light_groups] * 4, 3, 3, 3, 3)]
-        sides, lengths = ([np.zeros(n, kind) for _ in range(2)] for kind in (np.int32, np.float32))
+        sides, lengths = ([np.zeros(n, kind) for _ in range(number)] for kind, number in ((np.int32, 2), (np.float32, 3)))
         return Probes(*rows, np.zeros(n, np.uint8), *sides, *lengths, np.zeros(n, np.uint8))
 
 
@@ -122,6 +125,8 @@ class LightCache(NamedTuple):
     gain: (C, 3 G) float32 W/m^2, how much more irradiance each cell gets than its links tell, by what lobes throw on it (`thrown`); no rows for nothing.
     centre: (C, 6) float32, middle and normal of the cells.  side: (C,) int32, their sides.
     root: (C,) int64, the coarsest cell around each.
+    first: (C, 3 G) float32 W/m^2, of `sent`, what has come straight from lamps but for what narrow lobes reflect: the mean over all views, from which
+        one view differs by a material's row of by_view (M, 2, `VIEWS`), as of `by_view.views`.
     """
 
     origin: np.ndarray
@@ -141,6 +146,8 @@ class LightCache(NamedTuple):
     centre: np.ndarray
     side: np.ndarray
     root: np.ndarray
+    first: np.ndarray
+    by_view: np.ndarray
 
 
 def no_cache() -> LightCache:
@@ -164,6 +171,8 @@ def no_cache() -> LightCache:
         none.reshape(0, 6),
         np.zeros(0, np.int32),
         np.zeros(0, np.int64),
+        none.reshape(0, 3),
+        np.zeros((0, 2, VIEWS), np.float32),
     )
 
 
@@ -233,13 +242,20 @@ def find_cell(cache, x, y, z, nx, ny, nz, side, u1, u2):
     return np.int64(-1)
 
 
+@inlined
+def more_by_view(cache, cell, cosine):
+    """How much more of its `first` light a cell shows a view at a cosine than in the mean."""
+    return difference(cache.by_view, cache.side[cell] >> 1, WITH_WIDE, cosine)
+
+
 @leaf
-def add_known(cache, row, cell, wr, wg, wb, out, i):
-    """Adds the light of a cell that left up to `row` + 1 surfaces, weighed by w, to row i of `out` (N, 3 G)."""
+def add_known(cache, row, cell, cosine, wr, wg, wb, out, i):
+    """Adds the light of a cell that left up to `row` + 1 surfaces towards a view at `cosine`, weighed by w, to row i of `out` (N, 3 G)."""
+    more = more_by_view(cache, cell, cosine)
     for c in range(0, out.shape[1], 3):
-        out[i, c] += wr * cache.radiosity[row, cell, c]
-        out[i, c + 1] += wg * cache.radiosity[row, cell, c + 1]
-        out[i, c + 2] += wb * cache.radiosity[row, cell, c + 2]
+        out[i, c] += wr * (cache.radiosity[row, cell, c] + more * cache.first[cell, c])
+        out[i, c + 1] += wg * (cache.radiosity[row, cell, c + 1] + more * cache.first[cell, c + 1])
+        out[i, c + 2] += wb * (cache.radiosity[row, cell, c + 2] + more * cache.first[cell, c + 2])
 
 
 @kernel
@@ -650,12 +666,14 @@ def build_light_cache(
     gathered: int | None = None,
     later: float = 1.0,
     relied: float = 0.0,
+    by_view: np.ndarray | None = None,
 ) -> tuple[LightCache, Links]:
     """Cells that hold what the probes know of light that left 1 to `bounces` surfaces, and how they hang together.
 
     gathered: how many of them the light has left that gather rays look up, None for `bounces`.
     later: what virtual lights carry of light that has left several surfaces, as a part of what they carry of other light.
     relied: the part of what would be left to the cache that virtual lights carry all the same, as far as their geometry term is not clamped.
+    by_view: (M, 2, `VIEWS`) of the materials, None where all views are alike.
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -666,6 +684,9 @@ def build_light_cache(
             raise Cancelled
 
     n = int(probes.valid.sum())
+    if by_view is None:
+        by_view = np.zeros((1 + (int(probes.side.max(initial=0)) >> 1), 2, VIEWS), np.float32)
+    probes = _of_all_views(probes, by_view)
     origin, extent = _grid(probes)
     size = np.float32(cell_size(probes, origin, extent, seed))
     go_on(0.1)
@@ -685,7 +706,7 @@ def build_light_cache(
     one = np.float32(1)
     cache = LightCache(
         origin, size, keys, slot, radiosity, halves[0], shine[0], halves[0], np.zeros(count, np.float32), one, one,
-        np.ones(count, np.float32), one, radiosity[0, :0], centre, side_of, np.arange(count),
+        np.ones(count, np.float32), one, radiosity[0, :0], centre, side_of, np.arange(count), radiosity[0], by_view,
     )  # fmt: skip
     parent = _parents(cache, level_of, centre, side_of)
     root = np.arange(count)
@@ -713,7 +734,17 @@ def build_light_cache(
         halves, shine, first_of, beneath, through, counts, bright, number, tau, parent, np.float32(later), np.float32(relied)
     )
     links = Links(cells, link_cell, _weights(probes, NEAR * size), thrown, parent, order, unit)
-    return cache._replace(sent=sent, lit=lit, dull=sent, share=share, tau=tau, later=np.float32(later), root=root), links
+    first = np.maximum(0, np.einsum("hc,hck->ck", counts, first_of) - thrown)
+    return cache._replace(sent=sent, lit=lit, dull=sent, share=share, tau=tau, later=np.float32(later), root=root, first=first), links
+
+
+def _of_all_views(probes: Probes, by_view: np.ndarray) -> Probes:
+    """The probes with direct light that is the mean over all views, not what their own path sees: but for that which narrow lobes reflect."""
+    if not by_view.any():
+        return probes
+    seen = np.maximum(LEAST_SEEN, _1 + differences(by_view, probes.side >> 1, WITH_WIDE, probes.cosine))[:, None]
+    direct = probes.shine + (probes.direct - probes.shine) / seen
+    return probes._replace(direct=direct, beneath=probes.beneath / seen, glass=probes.glass / seen)
 
 
 def _weights(probes: Probes, near: np.float32) -> np.ndarray:

@@ -89,6 +89,7 @@ def _probe_path(
             return rays
         probes.valid[probe] = 1
         probes.distance[probe] = t
+        probes.cosine[probe] = -(gx * dx + gy * dy + gz * dz)
         probes.side[probe] = side
         probes.position[probe, 0], probes.position[probe, 1], probes.position[probe, 2] = x, y, z
         probes.normal[probe, 0], probes.normal[probe, 1], probes.normal[probe, 2] = gx, gy, gz

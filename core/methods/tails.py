@@ -257,7 +257,7 @@ def path_light(
                 cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, at, 60), uniform(seed, path, at, 61)
             )  # fmt: skip
             if cell >= 0:
-                add_known(cache, left, cell, kr * wr, kg * wg, kb * wb, out, i)
+                add_known(cache, left, cell, -(gx * dx + gy * dy + gz * dz), kr * wr, kg * wg, kb * wb, out, i)
                 break
         wx, wy, wz = -dx, -dy, -dz
 

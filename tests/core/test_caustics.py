@@ -1,6 +1,7 @@
 """Photons that lenses bend and lobes reflect: each spreads all of its light, where its neighbours are and nothing is in its way."""
 
 from contextlib import ExitStack
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -141,6 +142,23 @@ def test_at_edges_no_light_is_lost(build):
         add_caustics(scene, caustics, points, 1, 2, after)
     assert before[:, 0].sum() * PITCH**2 < 0.93
     assert after[:, 0].sum() * PITCH**2 == pytest.approx(1, rel=0.03)
+
+
+@pytest.mark.parametrize("tested", [False, True])
+def test_what_is_turned_the_other_way_beside_it_gets_no_more(build, tested):
+    """A floor in strips whose triangles face up and down in turn, as imported models and panes before a wall have them."""
+    half, photons = SIDE * PITCH / 2, spot(1500, 0.3)
+    photons.entry[:] = (0.1, 0.2, 2.0)
+    edges = np.linspace(-half, half, 21)
+    strips = [[(a, -half, 0), (b, -half, 0), (b, half, 0), (a, half, 0)][:: 1 - 2 * (k % 2)] for k, (a, b) in enumerate(pairwise(edges))]
+    photons.side[:] = 1 - 2 * (np.searchsorted(edges, photons.position[:, 0]) % 2 == 0)
+    points, found = plane(), np.zeros((SIDE * SIDE, 3), np.float32)
+    with ExitStack() as stack:
+        scene = tables_of(build, stack, build.quads(*strips))
+        caustics = arranged(photons, NEAREST, tested=tested)
+        keep_light(scene, caustics, 1, 2)
+        add_caustics(scene, caustics, points, 1, 2, found)
+    assert found[:, 0].sum() * PITCH**2 == pytest.approx(1, rel=0.03)
 
 
 def test_nothing_shines_through_walls(build):

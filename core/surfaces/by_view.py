@@ -1,0 +1,104 @@
+"""How bright the diffuse light of a surface is by the angle of its view.
+
+A dielectric lobe takes its share of what a surface reflects by the angle of the view, most at grazing ones (`layout.diffuse_albedo`), and
+so does the roughness of a diffuse reflection.  Virtual lights and cells of light are means over all views; here is, for each material,
+how far one view differs from them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..jit import inlined, kernel
+from ..sampling.hashing import uniform
+from ..scene import ANGLED, CONSTANT, TRANSLUCENT, MaterialTables
+from .batch import evaluate_batch
+from .layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, WIDE, diffuse_albedo, diffuse_albedo_average
+
+DIFFUSE_ALONE, WITH_WIDE = 0, 1
+VIEWS = 16  # cosines, more of them at grazing views: their roots are evenly spaced
+PLACES = 16  # of a material, whose mean counts
+_MEAN_RISE = 0.08  # about how far a glossy albedo rises from F0 to F90 in the mean over the views
+_0 = np.float32(0)
+_1 = np.float32(1)
+
+
+@inlined
+def difference(table, material, kind, cosine):
+    """Light towards a view at `cosine` over its mean over all views, less 1, of a material of a `views` table."""
+    x = np.float32(math.sqrt(min(_1, max(_0, cosine)))) * np.float32(VIEWS - 1)
+    i = min(np.int64(x), VIEWS - 2)
+    low = table[material, kind, i]
+    return low + (x - np.float32(i)) * (table[material, kind, i + 1] - low)
+
+
+@kernel
+def _differences(table, materials, kind, cosine, out):
+    for i in range(len(materials)):
+        out[i] = difference(table, materials[i], kind, cosine[i])
+
+
+def differences(table: np.ndarray, materials: np.ndarray, kind: int, cosine: np.ndarray) -> np.ndarray:
+    """`difference` of many materials (N,) at as many cosines, (N,) float32."""
+    out = np.empty(len(materials), np.float32)
+    _differences(table, np.ascontiguousarray(materials, np.int32), kind, np.ascontiguousarray(cosine, np.float32), out)
+    return out
+
+
+@kernel
+def _some_triangles(material, found, number):
+    """Fills each row of `found` (M, PLACES) with triangles of that material, drawn evenly; number: (M,) int64 zeros, how many it is on."""
+    most = found.shape[1]
+    for t in range(len(material)):
+        m = material[t]
+        n = number[m]
+        at = n if n < most else np.int64(uniform(np.uint32(t), 0, 0, 0) * np.float32(n + 1))
+        if at < most:
+            found[m, at] = t
+        number[m] += 1
+
+
+@kernel
+def _add_views(surfaces, owner, seen, mean, wide):
+    """Adds the diffuse albedo of surfaces (N, SURFACE) at each view to the row `owner` (N,) of `seen` (M, VIEWS), its mean to `mean` (M,), and
+    what wide glossy lobes reflect in the mean to `wide` (M,); sums of the channels."""
+    for i in range(len(surfaces)):
+        surface, m = surfaces[i], owner[i]
+        for k in range(VIEWS):
+            root = np.float32(k) / np.float32(VIEWS - 1)
+            r, g, b = diffuse_albedo(surface, root * root)
+            seen[m, k] += r + g + b
+        r, g, b = diffuse_albedo_average(surface)
+        mean[m] += r + g + b
+        if surface[ROUGHNESS] >= WIDE:
+            for c in range(3):
+                wide[m] += surface[GLOSSY_F0 + c] + _MEAN_RISE * max(_0, surface[GLOSSY_F90 + c] - surface[GLOSSY_F0 + c])
+
+
+def views(tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, threads: int = 0) -> np.ndarray:
+    """(M, 2, VIEWS) float32 `difference` of M materials: of diffuse light alone, and of it and the lamps' light that a `layout.WIDE` glossy lobe reflects.
+
+    material: (T,) int32, of the triangles.  attributes: (K, T, 3, 4) float32.
+    Zeros where the nodes ask for the view themselves, and for translucent materials, which have another albedo from behind.
+    """
+    count = len(tables.flags)
+    seen, mean, wide = np.zeros((count, VIEWS), np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
+    constant = np.flatnonzero(tables.flags & CONSTANT)
+    _add_views(np.ascontiguousarray(tables.constant[constant], np.float32), constant, seen, mean, wide)
+    if len(constant) < count:
+        found = np.full((count, PLACES), -1, np.int32)
+        _some_triangles(material, found, np.zeros(count, np.int64))
+        found[constant] = -1
+        owner, _ = np.nonzero(found >= 0)
+        triangle = found[found >= 0]
+        u, v = np.random.default_rng(0).random((2, len(triangle)))
+        u, v = 1 - np.sqrt(u), v * np.sqrt(u)
+        surfaces = evaluate_batch(tables, material, attributes, triangle, u.astype(np.float32), v.astype(np.float32), threads=threads)
+        _add_views(surfaces.reshape(-1, SURFACE), owner, seen, mean, wide)
+    out = np.zeros((count, 2, VIEWS), np.float32)
+    known = (mean > 1e-6) & (tables.flags & (ANGLED | TRANSLUCENT) == 0)
+    out[known, DIFFUSE_ALONE] = seen[known] / mean[known, None] - 1
+    out[:, WITH_WIDE] = (mean / np.maximum(mean + wide, 1e-6))[:, None] * out[:, DIFFUSE_ALONE]
+    return out
