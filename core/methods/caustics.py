@@ -63,6 +63,7 @@ _SURFACES = 32  # that a photon meets at most
 _ALIKE = np.float32(0.7)  # cosine of the normals of a point and of a photon that lights it, at least
 _THICK = np.float32(0.1)  # of that distance: photons so far out of a point's plane are of another surface
 _LAYERS = 4  # that lie so near each other, at most
+MOST_PASSING = np.float32(0.75)  # of the particles that meet the rim of a leaf's picture: the others have so much the more light
 _MOST_KEPT = np.float32(8.0)  # times its flux: in foliage no more of it is kept
 _GOLDEN = np.float32(0.618034)
 _0 = np.float32(0.0)
@@ -157,6 +158,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
             elif passes:
                 evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
                 chance = passing_chance(surface, flags & ANGLED != 0)
+                if chance < _1:  # what it leaves lights all that is around, however little of the surface there is just there
+                    chance = min(chance, MOST_PASSING)
                 passes = uniform(seed, i, layer, 16) < chance
                 rest = _1 / chance if passes else _1 / (_1 - chance)
                 if passes:

@@ -12,6 +12,7 @@ from lumigate.core.lamps import build_emitters
 from lumigate.core.methods.caustics import NEAREST, SPARSE, Photons, add_caustics, arranged, keep_light, trace_photons
 from lumigate.core.particles import SHINE, trace_by_power
 from lumigate.core.rays import RayScene
+from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, TRANSPARENCY
 from lumigate.core.transport import transport
 from lumigate.core.view.points import ShadingPoints
 
@@ -38,16 +39,18 @@ def spot(n, width, height=0.0):
     return photons
 
 
-def tables_of(build, stack, *parts, lamps=None, materials=None):
-    """The tables of a scene of such parts."""
+def tables_of(build, stack, *parts, lamps=None, materials=None, of_last=0):
+    """The tables of a scene of such parts, the last of which has the material `of_last`."""
     corners, faces, n = [], [], 0
     for points, triangles in parts:
         corners.append(points)
         faces.append(np.asarray(triangles) + n)
         n += len(points)
-    geometry = build.geometry(np.concatenate(corners), np.concatenate(faces))
+    stuff = [0 if k < len(parts) - 1 else of_last for k, (_, triangles) in enumerate(parts) for _ in triangles]
+    geometry = build.geometry(np.concatenate(corners), np.concatenate(faces), stuff)
     scene = build.scene(geometry, build.materials((0.5, 0.0)) if materials is None else materials, lamps=lamps)
-    rays = stack.enter_context(RayScene(geometry.vertices, geometry.triangles))
+    clear = (scene.materials.tables.flags[geometry.material] & sc.TRANSPARENT) != 0
+    rays = stack.enter_context(RayScene(geometry.vertices, geometry.triangles, None, clear))
     return transport(geometry, scene.materials.tables, rays.tables, build_emitters(scene))
 
 
@@ -201,3 +204,28 @@ def test_what_lobes_reflect_is_the_light_of_the_virtual_lights(build):
     # They fly straight from where they were reflected.
     away = photons.position - photons.entry
     np.testing.assert_allclose(away / np.linalg.norm(away, axis=1)[:, None], photons.direction, atol=0.01)
+
+
+@pytest.mark.parametrize("opacity", [1e-4, 0.5])
+def test_the_rim_of_a_leaf_keeps_no_sparks(build, opacity):
+    """What is left on a card that is all but clear lights all around it: as few photons as end there, none may have a thousand times the light."""
+    card = build.quads([(0.5, -1, 0.2), (0.5, 1, 0.2), (0.5, 1, 1.8), (0.5, -1, 1.8)])
+    ceiling = build.quads([(-2, -2, 2), (-2, 2, 2), (2, 2, 2), (2, -2, 2)])
+    stuff = build.glossy_materials((0.5, 0.0), (0.5 * opacity, 0.0), albedo=0.3, roughness=0.3)
+    stuff.tables.constant[1, GLOSSY_F0 : GLOSSY_F0 + 3] = stuff.tables.constant[1, GLOSSY_F90 : GLOSSY_F90 + 3] = 0
+    stuff.tables.constant[1, TRANSPARENCY : TRANSPARENCY + 3] = 1 - opacity
+    stuff.tables.flags[1] = stuff.tables.flags[1] & ~sc.GLOSSY_LOBE | sc.TRANSPARENT
+    lamp = build.lamps(build.lamp(sc.POINT, 5.0, position=(-0.5, 0.2, 0.7), radius=0.1))
+    corners = np.float32([(-2, -2, 0), (2, 2, 2)])
+    with ExitStack() as stack:
+        scene = tables_of(build, stack, square(build, 2), ceiling, card, lamps=lamp, materials=stuff, of_last=1)
+        photons, _ = trace_photons(scene, corners, 20000, 1 << 17, 4, seed=1, threads=2, lobes=True)
+        bare = tables_of(build, stack, square(build, 2), ceiling, lamps=lamp, materials=stuff)
+        without, _ = trace_photons(bare, corners, 20000, 1 << 17, 4, seed=1, threads=2, lobes=True)
+    on_card = np.abs(photons.position[:, 0] - 0.5) < 1e-3
+    assert np.count_nonzero(on_card & (photons.position[:, 2] > 0.1)) > 100
+    assert photons.flux[:, 1].max() < 10 * np.median(photons.flux[:, 1])
+    # What falls on the ceiling has come through the card, in part.
+    above, all_of_it = (p.flux[p.position[:, 2] > 1.99, 1].sum() for p in (photons, without))
+    assert (1 - opacity) * all_of_it < above * 1.03
+    assert above < all_of_it * 1.03
