@@ -15,6 +15,8 @@ LOADING_RAYS, BEGIN_RAYS, PIXEL_RAYS = 450_000.0, 1_500_000.0, 75.0
 BASE = 0.42
 # How much the proportions of the first guesses count beside one pass that was seen, and how much the guesses themselves.
 TRUST, FAITH = 0.002, 1e-6
+# How much pilots alone count beside the guesses: in few pixels a pass takes longer than they foresee (more surfaces a pixel), and a large one not.
+PILOT_FAITH = 3e-6
 LEAST_PART = 0.02  # of a first guess: nothing is free
 
 
@@ -37,15 +39,16 @@ class PassCost:
         """A first guess, from the machine alone; cold: whether this process has still to load the kernels."""
         return cls(np.array([cold * LOADING_RAYS, BEGIN_RAYS / machine.threads, PIXEL_RAYS / machine.threads]) * machine.ray)
 
-    def observe(self, pixels: int, quality: float, seconds: float) -> None:
+    def observe(self, pixels: int, quality: float, seconds: float, *, pilot: bool = False) -> None:
         """Note a pass, and fit again: least squares of relative errors, in units of the guesses."""
         self.seen.append((pixels * (BASE + quality), seconds))
         loading, begin, each = self.guess
-        rows = [np.array([loading if k == 0 else 0.0, begin, each * work]) / taken for k, (work, taken) in enumerate(self.seen)]
+        own = PILOT_FAITH**0.5 if pilot else 1.0
+        rows = [own * np.array([loading if k == 0 else 0.0, begin, each * work]) / taken for k, (work, taken) in enumerate(self.seen)]
         # Loading is the machine's alone; a slow scene is slow in both of the others, whose proportion is held to.
         rows += [TRUST**0.5 * np.array(row) for row in ((1.0, 0.0, 0.0), (0.0, 1.0, -1.0))]
         rows += [FAITH**0.5 * row for row in np.eye(3)]
-        wanted = [1.0] * len(self.seen) + [TRUST**0.5, 0.0] + [FAITH**0.5] * 3
+        wanted = [own] * len(self.seen) + [TRUST**0.5, 0.0] + [FAITH**0.5] * 3
         self.fitted = np.maximum(np.linalg.lstsq(np.array(rows), np.array(wanted), rcond=None)[0], LEAST_PART) * self.guess
 
     def seconds(self, pixels: int, quality: float) -> float:

@@ -117,7 +117,7 @@ class Planner:
             picture = run(small, self.settings.scaled(PILOT_QUALITY, MOST_PASSES + k))
             found.add(replace(picture, weight=PILOT_QUALITY))
             if self.cost:
-                self.cost.observe(picture.depth.size, PILOT_QUALITY, clock() - start)
+                self.cost.observe(picture.depth.size, PILOT_QUALITY, clock() - start, pilot=True)
         height, width = picture.depth.shape
         self.pilot = {"size": [width, height], "quality": PILOT_QUALITY, "passes": count}
         if count == GROUPS:

@@ -130,6 +130,24 @@ def test_cost_follows_what_was_seen():
     assert cost.quality(10_000, cost.seconds(10_000, 1.5)) == pytest.approx(1.5)
 
 
+def test_a_pilot_alone_counts_in_part():
+    """In few pixels a pass takes longer than the machine tells; a picture of many need not."""
+
+    def foreseen(slower, **kind):
+        cost = PassCost(np.array([0.0, 0.2, 1e-5]))
+        usual = cost.seconds(200_000, 1.0)
+        cost.observe(8000, 0.25, slower * cost.seconds(8000, 0.25), **kind)
+        told = cost.seconds(200_000, 1.0) / usual
+        cost.observe(200_000, 1.0, 3 * usual)
+        assert cost.seconds(200_000, 1.0) == pytest.approx(3 * usual, rel=0.1)
+        return told
+
+    assert foreseen(2.0) == pytest.approx(2, rel=0.05)
+    assert foreseen(0.5) == pytest.approx(0.5, rel=0.05)
+    assert 1.2 < foreseen(2.0, pilot=True) < 1.6
+    assert 0.5 < foreseen(0.5, pilot=True) < 0.8
+
+
 def test_machine_is_measured_once(tmp_path):
     first = cached_machine(1, tmp_path)
     assert 0 < first.ray < 1e-3 and first.denoiser_pixel > 0 and first.looks == 1
