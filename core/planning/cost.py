@@ -15,7 +15,7 @@ LOADING_RAYS, BEGIN_RAYS, PIXEL_RAYS = 450_000.0, 1_500_000.0, 75.0
 BASE = 0.42
 # How much the proportions of the first guesses count beside one pass that was seen, and how much the guesses themselves.
 TRUST, FAITH = 0.002, 1e-6
-# How much pilots alone count beside the guesses: in few pixels a pass takes longer than they foresee (more surfaces a pixel), and a large one not.
+# How much pilots alone count beside the guesses: in few pixels a pass takes longer than they foresee, in many it need not.
 PILOT_FAITH = 3e-6
 LEAST_PART = 0.02  # of a first guess: nothing is free
 

@@ -21,7 +21,7 @@ from lumigate.core.surfaces.layout import (
 )
 
 
-def varnished(build, roughness, **flags):
+def varnished(build, roughness):
     """Two materials: a grey one, and one under a dielectric lobe."""
     materials = build.materials((0.6, 0.0), (0.6, 0.0))
     surface = materials.tables.constant[1]
