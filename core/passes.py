@@ -87,13 +87,18 @@ class Passes:
             b, c = (np.minimum(self.groups[j].indirect, limit) for j in (k - 1, k - 2))
             share = self.groups[k].weight / self.weight
             product = np.divide((a - b) * (a - c), scale, out=np.zeros_like(scale), where=scale > 0)
-            errors.append(product.mean() * (UNSEEN * share**SLOPE if denoiser else share))
+            errors.append(product.mean() * (UNSEEN if denoiser else 1) * share_of_error(share, denoiser is not None))
         return max(0.0, float(np.mean(errors)))
 
     def _clean(self, picture: Picture, denoiser: Denoiser | None) -> np.ndarray:
         """Its indirect light (H, W, 3), denoised if there is a denoiser, in double precision."""
         clean = replace(picture, points=()).denoised(denoiser, self.threads, direct=False, quality="balanced") if denoiser else picture
         return clean.indirect.astype(np.float64)
+
+
+def share_of_error(share: float, denoised: bool) -> float:
+    """relMSE of all passes by that of a share of them: of a denoised picture it falls more slowly than noise."""
+    return share**SLOPE if denoised else share
 
 
 def denoising_quality(settings: RenderSettings, weight: float, least: str = "fast") -> str:

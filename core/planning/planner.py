@@ -1,8 +1,8 @@
 """Method and numbers of one render, by what is asked for: a time, an error, or neither.
 
-A budget is spent on few large passes, of which the first tells what the others cost.  A target is reached in rounds of three passes, whose own
-estimate (`core.passes`) tells how many more samples are missing; nothing there depends on the clock, so that the same seed gives the same
-picture.  Either may begin with a pilot: the same scene in a picture so small that it costs next to nothing.
+A budget is spent on few large passes, of which the first tells what the others cost.  A target is reached by one pass, where a pilot foresees
+its error, or else in rounds of three, whose own estimate (`core.passes`) tells how many more samples are missing; nothing there depends on the
+clock, so that the same seed gives the same picture.  A pilot is the same scene in a picture so small that it costs little.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from ..denoise import Denoiser
-from ..passes import GROUPS, SLOPE, UNSEEN_NOISE, Passes, denoising_quality
+from ..passes import GROUPS, SLOPE, UNSEEN_NOISE, Passes, denoising_quality, share_of_error
 from ..picture import Picture
 from ..scene import Camera
 from ..settings import RenderSettings
@@ -34,8 +34,12 @@ DENOISING = {"fast": 0.8, "balanced": 1.1, "high": 1.8}
 PILOT_PIXELS, PILOT_QUALITY = 8_000, 0.25
 PILOT_SHARE = 0.1  # of a budget, at most
 SMALLER = 6  # times as many pixels as the pilot has make it worth while
-# relMSE of a picture by that of one of fewer pixels and as many samples in each: the denoiser has more to go by.
+# relMSE of a denoised picture by that of one of fewer pixels and as many samples in each: the denoiser has more to go by.
 SIZE_SLOPE = 0.35
+# relMSE of one denoised pass falls with its quality to the power of -ALONE_SLOPE (six scenes, .125 to 2: -.29 to -.66), without denoising of
+# -SLOPE.
+ALONE_SLOPE = 0.37
+ALONE = 2.0  # largest quality of a pass that is made by the pilot's word: three smaller ones have the same error in as much time, and tell it
 NEAR_ENOUGH = 1.15  # times the target
 CERTAIN = 1.2  # how far below the target the pilot must see one pass, for it to be made alone
 GROWTH = 6.0  # most by which the samples grow in a round: the slope is not exact
@@ -58,7 +62,7 @@ class Planner:
     passes: list[dict] = field(default_factory=list)
     reasons: list[str] = field(default_factory=list)
     pilot: dict | None = None
-    rounds: bool = True  # whether passes come in threes, which tell their error
+    foreseen: float | None = None  # relMSE of a pass that is made alone, by the pilot's word; None where passes come in threes
 
     def __post_init__(self) -> None:
         if self.machine is not None:
@@ -111,15 +115,16 @@ class Planner:
         if not count:
             return
         small = reduced(camera, (self.pixels / PILOT_PIXELS) ** 0.5)
+        quality = PILOT_QUALITY if self.settings.target_error is None else LEAST
         found, begin = Passes(self.settings.threads), clock()
         for k in range(count):
             start = clock()
-            picture = run(small, self.settings.scaled(PILOT_QUALITY, MOST_PASSES + k))
-            found.add(replace(picture, weight=PILOT_QUALITY))
+            picture = run(small, self.settings.scaled(quality, MOST_PASSES + k))
+            found.add(replace(picture, weight=quality))
             if self.cost:
-                self.cost.observe(picture.depth.size, PILOT_QUALITY, clock() - start, pilot=True)
+                self.cost.observe(picture.depth.size, quality, clock() - start, pilot=True)
         height, width = picture.depth.shape
-        self.pilot = {"size": [width, height], "quality": PILOT_QUALITY, "passes": count}
+        self.pilot = {"size": [width, height], "quality": quality, "passes": count}
         if count == GROUPS:
             self.pilot["error"] = found.error(denoiser)
         self.pilot["seconds"] = clock() - begin
@@ -139,16 +144,22 @@ class Planner:
 
     def _first_of_target(self, target: float) -> float:
         """By the error that the pilot found, in fewer pixels."""
-        found = self.pilot["error"]
-        whole = found * (self.pixels / math.prod(self.pilot["size"])) ** -SIZE_SLOPE
-        alone = whole * (GROUPS * PILOT_QUALITY / LEAST) ** SLOPE
-        if CERTAIN * alone <= target:
-            self.rounds = False
-            self.reasons.append(
-                f"the pilot's relMSE is {found:.2g}: one pass with the fewest samples should have {alone:.2g}, less than asked for"
-            )
-            return LEAST
-        quality = self._bounded(PILOT_QUALITY * (whole / target) ** (1 / SLOPE))
+        found, least = self.pilot["error"], self.pilot["quality"]
+        larger, slope = (self.pixels / math.prod(self.pilot["size"]), ALONE_SLOPE) if self.settings.denoise else (1.0, SLOPE)
+        three = found * larger**-SIZE_SLOPE
+        one = three / share_of_error(1 / GROUPS, self.settings.denoise)
+
+        def wanted(error: float) -> float:
+            return least * (error / target) ** (1 / slope)
+
+        quality = self._bounded(wanted(CERTAIN * one), up=True)
+        self.foreseen = one * (quality / least) ** -slope
+        if quality <= ALONE and CERTAIN * self.foreseen <= target * (1 + 1e-6):
+            self.reasons.append(f"the pilot's relMSE is {found:.2g}: one pass of quality {quality:.3g} should have {self.foreseen:.2g}")
+            self._say_when_better(self.foreseen, quality)
+            return quality
+        self.foreseen = None
+        quality = self._bounded(wanted(three))
         self.reasons.append(f"the pilot's relMSE is {found:.2g}: three passes of quality {quality:.3g} should have {target:.2g}")
         return quality
 
@@ -183,7 +194,10 @@ class Planner:
             return None
         if self.settings.time_budget is not None:
             return self._next_of_budget(self._for_passes(FULL * self.settings.time_budget - elapsed))
-        if self.settings.target_error is None or not self.rounds:
+        if self.settings.target_error is None:
+            return None
+        if self.foreseen is not None:
+            passes.estimate = self.foreseen
             return None
         if passes.count % GROUPS:
             return self.passes[-1]["quality"]
@@ -207,17 +221,22 @@ class Planner:
     def _next_round(self, passes: Passes, error: float) -> float | None:
         target = self.settings.target_error
         if error <= NEAR_ENOUGH * target:
-            if error < target / 1.5 and passes.count == GROUPS and self.passes[0]["quality"] == LEAST:
-                self.reasons.append("the smallest possible picture has a smaller error than asked for")
+            if passes.count == GROUPS:
+                self._say_when_better(error, self.passes[0]["quality"])
             return None
         more = min(GROWTH, (error / target) ** (1 / SLOPE)) - 1
         quality = self._bounded(more * passes.weight / GROUPS)
         self.reasons.append(f"after {passes.count} passes the estimate is {error:.2g}: three more of quality {quality:.3g}")
         return quality
 
-    def _bounded(self, quality: float) -> float:
+    def _say_when_better(self, error: float, quality: float) -> None:
+        if quality == LEAST and error < self.settings.target_error / 1.5:
+            self.reasons.append("the smallest possible picture has a smaller error than asked for")
+
+    def _bounded(self, quality: float, up: bool = False) -> float:
         """Steps of LEAST, between the bounds: rays are whole."""
-        return min(self.most, max(LEAST, math.floor(quality / LEAST + 1e-6) * LEAST))
+        steps = quality / LEAST
+        return min(self.most, max(LEAST, LEAST * (math.ceil(steps - 1e-6) if up else math.floor(steps + 1e-6))))
 
     def stats(self) -> dict:
         """What was chosen and why, for `--stats`."""

@@ -85,17 +85,47 @@ def test_without_a_goal_one_pass_of_the_numbers_as_they_are():
     assert passes.estimate is None
 
 
-def test_pilot_sets_the_first_round_of_a_target():
-    def quality(error):
-        pixels = 16 * PILOT_PIXELS
-        planner = Planner(RenderSettings(target_error=0.01).with_defaults(), pixels, None)
-        assert planner.pilot_passes() == GROUPS
-        planner.pilot = {"size": [100, 80], "error": error}
-        return planner.first(0.0), planner.rounds
+def flown(error, target=0.01, **settings):
+    """A planner whose pilot found an error in a sixteenth of the pixels, and the quality of its first pass."""
+    planner = Planner(RenderSettings(target_error=target, **settings).with_defaults(), 16 * PILOT_PIXELS, None)
+    assert planner.pilot_passes() == GROUPS
+    planner.pilot = {"size": [100, 80], "quality": LEAST, "error": error}
+    return planner, planner.first(0.0)
 
-    assert (LEAST, True) == quality(0.02) < quality(0.05) < quality(0.1) < quality(10.0) == (MOST, True)
-    # So far below the target that one pass alone will do.
-    assert quality(0.001) == (LEAST, False)
+
+def test_pilot_foresees_the_pass_that_meets_a_target():
+    found = [flown(error) for error in (0.001, 0.02, 0.03)]
+    assert [quality for _, quality in found] == sorted(quality for _, quality in found)
+    for planner, quality in found:
+        assert planner.foreseen <= 0.01
+        planner.observe(quality, 1.0)
+        passes = Passes(1)
+        passes.add(picture(noisy(0.01, 0), quality))
+        assert planner.next(1.0, passes, None) is None
+        assert passes.estimate == planner.foreseen
+    assert found[0][1] == LEAST
+    assert "smaller error than asked for" in found[0][0].reasons[-1]
+    # No more than it takes: of a pass one step smaller less is certain.
+    assert found[2][0].foreseen > 0.8 * 0.01
+
+
+def test_where_the_pilot_foresees_much_work_three_passes_tell_their_error():
+    (fair, some), (noisier, more) = flown(0.06), flown(0.2)
+    assert fair.foreseen is None
+    assert noisier.foreseen is None
+    assert LEAST < some < more
+    assert flown(10.0)[1] == MOST
+    fair.observe(some, 1.0)
+    passes = Passes(1)
+    passes.add(picture(noisy(0.01, 0), some))
+    assert fair.next(1.0, passes, None) == some
+
+
+def test_without_denoising_more_pixels_are_as_noisy_as_few():
+    (_, few), (raw, many) = flown(0.006), flown(0.006, denoise=False, method="importance-sampling")
+    assert few == LEAST
+    # One pass has three times the noise of the mean of three, and half as much with four times the rays.
+    assert raw.foreseen == pytest.approx(3 * 0.006 * (many / LEAST) ** -0.5)
 
 
 def test_quick_passes_keep_more_of_their_rays_than_of_their_lights():
