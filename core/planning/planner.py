@@ -39,7 +39,7 @@ SIZE_SLOPE = 0.35
 # relMSE of one denoised pass falls with its quality to the power of -ALONE_SLOPE (six scenes, .125 to 2: -.29 to -.66), without denoising of
 # -SLOPE.
 ALONE_SLOPE = 0.37
-ALONE = 2.0  # largest quality of a pass that is made by the pilot's word: three smaller ones have the same error in as much time, and tell it
+ALONE = 3.0  # largest quality of a pass that is made by the pilot's word: three smaller ones have the same error in as much time, and tell it
 NEAR_ENOUGH = 1.15  # times the target
 CERTAIN = 1.2  # how far below the target the pilot must see one pass, for it to be made alone
 GROWTH = 6.0  # most by which the samples grow in a round: the slope is not exact
@@ -159,7 +159,7 @@ class Planner:
             self._say_when_better(self.foreseen, quality)
             return quality
         self.foreseen = None
-        quality = self._bounded(wanted(three))
+        quality = self._bounded(wanted(three), up=True)  # a second round costs more than a step
         self.reasons.append(f"the pilot's relMSE is {found:.2g}: three passes of quality {quality:.3g} should have {target:.2g}")
         return quality
 
