@@ -49,7 +49,7 @@ from ..transport import Transport
 from ..view.points import ShadingPoints
 from .light_cache import LightCache, add_known, find_cell, more_by_view, no_cache
 from .tails import tail_light
-from .wide_lobes import NARROW, SharedRays, balance, bound, drawn_share, gather_density, is_mirror, is_wide, known_light, no_sharing
+from .wide_lobes import NARROW, SharedRays, balance, bound, drawn_share, gather_density, is_brushed, is_mirror, is_wide, known_light, no_sharing
 
 CHUNK = 512  # points a chunk
 BLOCK = 65536  # points whose reflections are followed together: bounds the memory
@@ -195,7 +195,9 @@ def _reflect_chunk(
             nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, hx, hy, hz)
             behind = hx * dx + hy * dy + hz * dz > 0
             cosine = min(_1, abs(nx * dx + ny * dy + nz * dz))
-            narrow = surface[ROUGHNESS] < NARROW and max(surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]) > NEGLIGIBLE
+            narrow = max(surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]) > NEGLIGIBLE and (
+                surface[ROUGHNESS] < NARROW or is_brushed(surface)
+            )
             if (narrow or flags & EMISSIVE) and not flags & CONSTANT:  # it may depend on the view
                 view = specular_view(-cosine if behind else cosine, GLOSSY)
                 if flags & REFRACTIVE and behind and inside == OUTSIDE:

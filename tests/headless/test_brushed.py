@@ -1,0 +1,42 @@
+"""Brushed metal seen in brushed metal, against Cycles: the cache, to which all is diffuse, does not know what it shows."""
+
+import bpy
+import numpy as np
+import pytest
+
+from lumigate.addon.extract import extract_scene
+from lumigate.core.pipeline import render
+from lumigate.core.settings import RenderSettings
+from lumigate.headless.reference import ReferenceSettings, render_layers
+
+from .test_direct_light import lamp, look, material
+
+SIZE = (48, 27)
+SEEDS = 8
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """Reference, and ours (SEEDS, H, W), of a closed ball of metal with a lamp in it, seen from within."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=3, segments=48, ring_count=24)
+    ball = bpy.context.object
+    ball.data.materials.append(material("Metal", Base_Color=(0.8, 0.8, 0.8, 1), Roughness=0.4, Metallic=1.0))
+    ball.data.polygons.foreach_set("use_smooth", [True] * len(ball.data.polygons))
+    lamp(scene, "AREA", (0, 0, 1.5), energy=100.0, size=0.8)
+    look(scene, (0, -2, 0), (np.radians(93), 0, 0), lens=20)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=512, size=SIZE, bounces=4))
+    arrays = extract_scene(scene, size=SIZE)
+    ours = [render(arrays, RenderSettings(method="importance-sampling", bounces=4, seed=seed, denoise=False)).layers for seed in range(SEEDS)]
+    return reference["GlossyIndirect"].mean(axis=-1), np.stack([layers["GlossyIndirect"].mean(axis=-1) for layers in ours])
+
+
+@pytest.mark.parametrize("part", [slice(None), slice(0, 9), slice(9, 18), slice(18, 27)], ids=["whole", "top", "middle", "bottom"])
+def test_metal_shows_metal_as_it_shines_that_way(pictures, part):
+    """Taken as diffuse, what the walls show of each other has 15 % too little light as a whole, and a third where lamps are seen twice."""
+    reference, ours = pictures
+    ratio = ours[:, part].mean(axis=(1, 2)) / reference[part].mean()
+    deviation = ratio.std(ddof=1) / SEEDS**0.5
+    assert deviation < 0.03
+    assert ratio.mean() == pytest.approx(1, abs=0.02 + 2 * deviation)
