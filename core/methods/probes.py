@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..jit import kernel, leaf
+from ..lamps.direct import set_point_lobe
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
 from ..references import Reference
@@ -16,7 +17,7 @@ from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE, GLOSSY, REFRACTIVE
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import SURFACE, TILT, diffuse_albedo
-from ..surfaces.lobes import LOBE, lobe_cosine
+from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, lobe_cosine, sample_lobe
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
@@ -33,24 +34,40 @@ CHUNK = 512  # paths a chunk
 FARTHEST = 8  # probes of a path that is followed on
 FEWER, MOST_TURNS = 1 / 16, 32  # of all paths are followed on at most, and each so many times
 IMPORTANT = 0.1  # of the direct light that all probes tell: where those beyond tell so much, all turns are worth it
+BY_LOBE = np.float32(0.5)  # of the share of its lobe in what a point reflects: the part of its paths that the lobe begins
 LAMP_RAYS = 4  # shadow rays of a probe: what is stored serves many
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
+_THIRD = np.float32(1 / 3)
 
 
 @leaf
 def _probe_path(
-    scene, packet, rows, surface, lobe, probes, first, depth, x, y, z, error, gx, gy, gz, sx, sy, sz, entered, seed, path, turn
+    scene, packet, rows, surface, lobe, probes, first, depth, points, i, seed, path, turn
 ):
-    """One path from a visible point: up to `depth` probes from row `first` on, each with its link; the rays traced.
+    """One path from the visible point i: up to `depth` probes from row `first` on, each with its link; the rays traced.
 
     turn: paths that differ in it alone part at the surface after `DEPTH` probes.
     """
-    lx, ly, lz = cosine_hemisphere(uniform(seed, path, 0, 6), uniform(seed, path, 0, 7))
-    dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
-    if gx * dx + gy * dy + gz * dz <= 0:
+    x, y, z, error, entered = points.position[i, 0], points.position[i, 1], points.position[i, 2], points.error[i], np.int64(points.entered[i])
+    gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
+    sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+    set_point_lobe(points, i, lobe)
+    glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
+    dull = _THIRD * (points.albedo[i, 0] + points.albedo[i, 1] + points.albedo[i, 2])
+    u1, u2 = uniform(seed, path, 0, 6), uniform(seed, path, 0, 7)
+    # A floor seen at a grazing angle mirrors what lies far off, where few diffuse rays go.
+    if glossy > _0 and uniform(seed, path, 0, 5) * (glossy + dull) < BY_LOBE * glossy:
+        kinds = GLOSSY
+        dx, dy, dz, _, _, _, density = sample_lobe(lobe, u1, u2)
+        if not density > _0:
+            return 0
+    else:
+        kinds = DIFFUSE
+        lx, ly, lz = cosine_hemisphere(u1, u2)
+        dx, dy, dz = to_world(lx, ly, lz, sx, sy, sz)
+    if gx * dx + gy * dy + gz * dz <= _0:
         return 0
-    kinds = DIFFUSE
     in_glass = False
     rays = 0
     for vertex in range(depth + 1):
@@ -125,11 +142,8 @@ def _probe_chunk(scene, points, start, number, begin, end, depth, turn, seed, pr
         path = number[k]
         i = start[path]
         rays += _probe_path(
-            scene, packet, rows, surface, lobe, probes, k * depth, depth,
-            points.position[i, 0], points.position[i, 1], points.position[i, 2], points.error[i],
-            points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
-            np.int64(points.entered[i]), seed, np.uint32(path), np.uint32(turn + k),
-        )  # fmt: skip
+            scene, packet, rows, surface, lobe, probes, k * depth, depth, points, i, seed, np.uint32(path), np.uint32(turn + k)
+        )
     return rays
 
 

@@ -366,6 +366,27 @@ def test_empty_scenes_have_an_empty_cache(room):
     assert rays > 0 and probes.valid.any()
 
 
+def test_lobes_begin_some_of_the_paths_that_fill_the_cache(build):
+    """Of a floor seen at a grazing angle, which mirrors the foot of the wall behind."""
+    hall = build.geometry(*build.quads(*boxed((-5, -5, -1), (5, 5, 5))))
+    scene = build.scene(hall, build.materials((0.7, 0.0)))
+    ones, grazing = np.ones((1, 3), np.float32), np.float32([[-1, 0, 0.1]])
+    with RayScene(hall.vertices, hall.triangles) as rays:
+        tables = transport(hall, scene.materials.tables, rays.tables, build_emitters(scene))
+        floor = points_at([(0, 0, 0)], [(0, 0, 1)])._replace(wo=grazing / np.linalg.norm(grazing), roughness=np.float32([0.2]))
+
+        def mirrored(albedo, lobe):
+            points = floor._replace(albedo=albedo * ones, f0=lobe * ones, f90=lobe * ones)
+            probes, _ = trace_probes(tables, points, 4096, seed=1)
+            first = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
+            return ((first[:, 0] > 4.99) & (first[:, 2] < 1.5) & (np.abs(first[:, 1]) < 2)).mean()
+
+        dull, varnished, metal = mirrored(0.5, 0.0), mirrored(0.5, 0.2), mirrored(0.0, 0.8)
+    assert dull < 0.02
+    assert metal > 0.3
+    assert dull + 0.05 < varnished < metal
+
+
 def boxed(low, high):
     """The six faces of a box, seen from inside."""
     corners = [tuple((low, high)[bit][axis] for axis, bit in enumerate(bits)) for bits in np.ndindex(2, 2, 2)]
