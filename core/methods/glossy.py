@@ -49,7 +49,19 @@ from ..transport import Transport
 from ..view.points import ShadingPoints
 from .light_cache import LightCache, add_known, find_cell, more_by_view, no_cache
 from .tails import tail_light
-from .wide_lobes import NARROW, SharedRays, balance, bound, drawn_share, gather_density, is_brushed, is_mirror, is_wide, known_light, no_sharing
+from .wide_lobes import (
+    NARROW,
+    SharedRays,
+    balance,
+    bound,
+    drawn_share,
+    gather_density,
+    is_brushed,
+    is_mirror,
+    is_wide,
+    known_light,
+    no_sharing,
+)
 
 CHUNK = 512  # points a chunk
 BLOCK = 65536  # points whose reflections are followed together: bounds the memory

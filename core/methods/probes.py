@@ -42,14 +42,18 @@ _THIRD = np.float32(1 / 3)
 
 
 @leaf
-def _probe_path(
-    scene, packet, rows, surface, lobe, probes, first, depth, points, i, seed, path, turn
-):
+def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, points, i, seed, path, turn):
     """One path from the visible point i: up to `depth` probes from row `first` on, each with its link; the rays traced.
 
     turn: paths that differ in it alone part at the surface after `DEPTH` probes.
     """
-    x, y, z, error, entered = points.position[i, 0], points.position[i, 1], points.position[i, 2], points.error[i], np.int64(points.entered[i])
+    x, y, z, error, entered = (
+        points.position[i, 0],
+        points.position[i, 1],
+        points.position[i, 2],
+        points.error[i],
+        np.int64(points.entered[i]),
+    )
     gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
     sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
     set_point_lobe(points, i, lobe)

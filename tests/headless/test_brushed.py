@@ -28,7 +28,9 @@ def pictures():
     look(scene, (0, -2, 0), (np.radians(93), 0, 0), lens=20)
     reference, _ = render_layers(scene, ReferenceSettings(spp=512, size=SIZE, bounces=4))
     arrays = extract_scene(scene, size=SIZE)
-    ours = [render(arrays, RenderSettings(method="importance-sampling", bounces=4, seed=seed, denoise=False)).layers for seed in range(SEEDS)]
+    ours = [
+        render(arrays, RenderSettings(method="importance-sampling", bounces=4, seed=seed, denoise=False)).layers for seed in range(SEEDS)
+    ]
     return reference["GlossyIndirect"].mean(axis=-1), np.stack([layers["GlossyIndirect"].mean(axis=-1) for layers in ours])
 
 
