@@ -39,9 +39,7 @@ SIZE_SLOPE = 0.35
 # relMSE of one denoised pass falls with its quality to the power of -ALONE_SLOPE (six scenes, .125 to 2: -.29 to -.66), without denoising of
 # -SLOPE.
 ALONE_SLOPE = 0.37
-ALONE = (
-    3.0  # largest quality of a pass that is made by the pilot's word: three smaller ones have the same error in as much time, and tell it
-)
+ALONE = 3.0  # largest quality of a pass made by the pilot's word: three smaller ones have the same error in as much time, and tell it
 NEAR_ENOUGH = 1.15  # times the target
 CERTAIN = 1.2  # how far below the target the pilot must see one pass, for it to be made alone
 GROWTH = 6.0  # most by which the samples grow in a round: the slope is not exact
