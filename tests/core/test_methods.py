@@ -117,6 +117,10 @@ def test_a_scene_of_nothing_but_metal(build, method):
     # Light that only glossy lobes pass on: without a diffuse albedo in view there is no light to draw VPLs for.
     g = 0.5
     scene = build.scene(build.geometry(*build.icosphere(3)), build.glossy_materials((0.0, 1.0), albedo=g, roughness=0.4))
-    layers = render(scene, RenderSettings(method=method, vpls=256, pixel_samples=1, reflections=8)).layers
-    assert not layers["DiffuseIndirect"].any()
-    assert np.isfinite(layers["GlossyIndirect"]).all() and layers["GlossyIndirect"].mean() <= g * g / (1 - g) * 1.02
+    seen = [
+        render(scene, RenderSettings(method=method, vpls=256, pixel_samples=1, reflections=8, seed=seed, denoise=False)).layers
+        for seed in range(10)
+    ]
+    assert not any(layers["DiffuseIndirect"].any() for layers in seen)
+    # All that is reflected twice and more; one seed has a deviation of .02.
+    assert float(np.mean([layers["GlossyIndirect"] for layers in seen])) == pytest.approx(g * g / (1 - g), abs=0.02)
