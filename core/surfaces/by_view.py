@@ -12,14 +12,12 @@ import math
 import numpy as np
 
 from ..jit import inlined, kernel
-from ..sampling.hashing import uniform
 from ..scene import ANGLED, CONSTANT, TRANSLUCENT, MaterialTables
-from .batch import evaluate_batch
-from .layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, WIDE, diffuse_albedo, diffuse_albedo_average
+from .layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, WIDE, diffuse_albedo, diffuse_albedo_average
+from .places import some_surfaces
 
 DIFFUSE_ALONE, WITH_WIDE = 0, 1
 VIEWS = 16  # cosines, more of them at grazing views: their roots are evenly spaced
-PLACES = 16  # of a material, whose mean counts
 _MEAN_RISE = 0.08  # about how far a glossy albedo rises from F0 to F90 in the mean over the views
 _0 = np.float32(0)
 _1 = np.float32(1)
@@ -45,19 +43,6 @@ def differences(table: np.ndarray, materials: np.ndarray, kind: int, cosine: np.
     out = np.empty(len(materials), np.float32)
     _differences(table, np.ascontiguousarray(materials, np.int32), kind, np.ascontiguousarray(cosine, np.float32), out)
     return out
-
-
-@kernel
-def _some_triangles(material, found, number):
-    """Fills each row of `found` (M, PLACES) with triangles of that material, drawn evenly; number: (M,) int64 zeros, how many it is on."""
-    most = found.shape[1]
-    for t in range(len(material)):
-        m = material[t]
-        n = number[m]
-        at = n if n < most else np.int64(uniform(np.uint32(t), 0, 0, 0) * np.float32(n + 1))
-        if at < most:
-            found[m, at] = t
-        number[m] += 1
 
 
 @kernel
@@ -88,15 +73,8 @@ def views(tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, 
     constant = np.flatnonzero(tables.flags & CONSTANT)
     _add_views(np.ascontiguousarray(tables.constant[constant], np.float32), constant, seen, mean, wide)
     if len(constant) < count:
-        found = np.full((count, PLACES), -1, np.int32)
-        _some_triangles(material, found, np.zeros(count, np.int64))
-        found[constant] = -1
-        owner, _ = np.nonzero(found >= 0)
-        triangle = found[found >= 0]
-        u, v = np.random.default_rng(0).random((2, len(triangle)))
-        u, v = 1 - np.sqrt(u), v * np.sqrt(u)
-        surfaces = evaluate_batch(tables, material, attributes, triangle, u.astype(np.float32), v.astype(np.float32), threads=threads)
-        _add_views(surfaces.reshape(-1, SURFACE), owner, seen, mean, wide)
+        surfaces, owner = some_surfaces(tables, material, attributes, tables.flags & CONSTANT == 0, threads)
+        _add_views(surfaces, owner, seen, mean, wide)
     out = np.zeros((count, 2, VIEWS), np.float32)
     known = (mean > 1e-6) & (tables.flags & (ANGLED | TRANSLUCENT) == 0)
     out[known, DIFFUSE_ALONE] = seen[known] / mean[known, None] - 1

@@ -65,7 +65,8 @@ def test_what_mirrors_show_is_left_to_the_lobes_own_rays(room):
     tables, points = room
     constant = tables.materials.constant.copy()
     constant[0, DIFFUSE : DIFFUSE + 3], constant[0, GLOSSY_F0 : GLOSSY_F0 + 3], constant[0, ROUGHNESS] = 0, 0.9, 0.1
-    mirrors = tables._replace(materials=tables.materials._replace(constant=constant))
+    flags = tables.materials.flags | np.array([sc.BRUSHED, 0], np.int32)
+    mirrors = tables._replace(materials=tables.materials._replace(constant=constant, flags=flags))
     dull = reflections(room, 0.7, True, 1)
     shown = reflections((mirrors, points), 0.7, True, 1)
     alone = reflections((mirrors, points), 0.7, False, 1)
