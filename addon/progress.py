@@ -34,6 +34,7 @@ _LABELS = {
     "indirect": "indirect light",
     "denoise": "denoising",
     "groups": "telling light groups apart",
+    "enlarging": "enlarging the light",
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -11,6 +12,7 @@ import numpy as np
 
 from .coincident import darken, warning_line
 from .denoise import Denoiser
+from .enlarged import enlarged
 from .lamps import DirectLight, LightGroups, sharp_emitters, world_tables
 from .layers import Layers
 from .memory import check_memory
@@ -19,7 +21,7 @@ from .methods.wide_lobes import sees_alike
 from .passes import Passes, has_few_rays
 from .picture import Picture, nearest_triangles, splat
 from .planning.machine import cached_machine, look_again
-from .planning.planner import Planner, reduced
+from .planning.planner import ENLARGED_SAMPLES, Planner, reduced, sides
 from .reuse import Sequence
 from .scene import Camera, Scene
 from .settings import RenderSettings
@@ -170,7 +172,7 @@ def _render(
 
     if denoiser and denoiser.warning:
         run.warnings.append(denoiser.warning)
-    passes = _passes(run, scene, settings, threads, denoiser, topologies, elapsed)
+    passes, lit, whole = _passes(run, scene, settings, threads, denoiser, topologies, elapsed)
     picture = passes.picture
     if sequence:
         with run.stage("history"):
@@ -194,6 +196,9 @@ def _render(
     if picture.groups and (denoiser or sequence):  # either has changed the whole
         with closing(Denoiser(quality="fast")) as quick, run.stage("groups") as quick.progress:
             picture = picture.shared_out(quick, threads)
+    if whole:
+        with run.stage("enlarging"):
+            picture = enlarged(picture, whole, lit, scene.camera, threads)
     layers = picture.layers(scene)
     layers.update(run.debug)
     if settings.layers is not None:
@@ -269,17 +274,26 @@ def _passes(
     denoiser: Denoiser | None,
     topologies: Topologies,
     elapsed: Callable[[], float],
-) -> Passes:
-    """All passes of a picture, and those that stand for the frames before the first one of a sequence."""
+) -> tuple[Passes, Camera, View | None]:
+    """All passes of a picture, and those that stand for the frames before the first one of a sequence.
+
+    Also the camera of the passes, and, where it is a smaller one, what the scene's own sees.
+    """
     run.groups = _light_groups(run, scene, settings)
     with prepared(run, scene, settings, threads, topologies) as tables:
-        planner = run.planner = _planner(run, tables, settings, _pixels(scene.camera), threads)
+        planner = run.planner = _planner(run, tables, settings, math.prod(sides(scene.camera)), threads)
         _fly(run, planner, scene, tables, denoiser, threads, elapsed)
+        lit, whole = scene.camera, None
+        if not (run.sequence or settings.debug_layers):
+            lit = planner.lit_camera(scene.camera, elapsed())
+        if lit is not scene.camera:
+            whole = _look(run, scene, tables, replace(settings, pixel_samples=min(settings.pixel_samples, ENLARGED_SAMPLES)), threads)
+            scene = replace(scene, camera=lit)
         passes = Passes(threads)
         quality = planner.first(elapsed())
         while quality is not None:
             start = elapsed()
-            passes.add(_pass(run, scene, tables, settings.scaled(quality, passes.count), threads, quality))
+            passes.add(_pass(run, scene, tables, settings.scaled(quality, passes.count), threads, quality, shining=whole is None))
             planner.observe(quality, elapsed() - start)
             with run.stage("plan"):
                 quality = planner.next(elapsed(), passes, denoiser)
@@ -287,13 +301,7 @@ def _passes(
             for turn in run.sequence.first_turns:
                 run.turn = turn
                 run.sequence.add(_pass(run, scene, tables, settings, threads, 1.0))
-    return passes
-
-
-def _pixels(camera: Camera) -> int:
-    """Of the part that is rendered."""
-    x0, y0, x1, y1 = camera.border
-    return (x1 - x0) * (y1 - y0)
+    return passes, lit, whole
 
 
 def _light_groups(run: Run, scene: Scene, settings: RenderSettings) -> LightGroups | None:
@@ -330,9 +338,16 @@ def _look(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
     return seen
 
 
-def _pass(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, threads: int, weight: float) -> Picture:
-    """One picture of the view, its samples, VPLs and caches independent of those of other seeds."""
+def _pass(
+    run: Run, scene: Scene, tables: Transport, settings: RenderSettings, threads: int, weight: float, *, shining: bool = True
+) -> Picture:
+    """One picture of the view, its samples, VPLs and caches independent of those of other seeds.
+
+    shining: whether what shines behind glass is in it.
+    """
     seen = _look(run, scene, tables, settings, threads)
+    if not shining:
+        seen.emitted[:, 1:] = 0
     points = seen.points
     if run.topology is not None:
         tables = within_reach(run, tables, points)

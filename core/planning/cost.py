@@ -53,11 +53,16 @@ class PassCost:
 
     def seconds(self, pixels: int, quality: float) -> float:
         """Predicted seconds of the next pass."""
-        return self._begin + self.fitted[2] * pixels * (BASE + quality)
+        return self._begin + self.each * pixels * (BASE + quality)
 
     def quality(self, pixels: int, seconds: float) -> float:
         """The quality whose pass takes so long; negative where not even the beginning fits."""
-        return (seconds - self._begin) / (self.fitted[2] * pixels) - BASE
+        return (seconds - self._begin) / (self.each * pixels) - BASE
+
+    @property
+    def each(self) -> float:
+        """Predicted seconds of a pixel of quality 1, its base apart."""
+        return self.fitted[2]
 
     @property
     def _begin(self) -> float:

@@ -34,6 +34,15 @@ DENOISING = {"fast": 0.8, "balanced": 1.1, "high": 1.8}
 PILOT_PIXELS, PILOT_QUALITY = 8_000, 0.25
 PILOT_SHARE = 0.1  # of a budget, at most
 SMALLER = 6  # times as many pixels as the pilot has make it worth while
+# Where not even the smallest pass fits, a smaller picture is lit, and enlarged by what the camera sees at full size (`core.enlarged`), at about
+# so much of the cost of a pixel (480x270, 1280x720: .10 to .14) and with so many primary samples.
+ENLARGING, ENLARGED_SAMPLES = 0.12, 6
+OVERTIME = 1.05  # times a budget that a whole picture may take by the prediction
+STEP, SMALLEST, FEWEST = (
+    2**0.25,
+    8.0,
+    24,
+)  # by how much the picture shrinks along each side, how much at most, and to how many pixels a side
 # relMSE of a denoised picture by that of one of fewer pixels and as many samples in each: the denoiser has more to go by.
 SIZE_SLOPE = 0.35
 # relMSE of one denoised pass falls with its quality to the power of -ALONE_SLOPE (six scenes, .125 to 2: -.29 to -.66), without denoising of
@@ -63,6 +72,7 @@ class Planner:
     reasons: list[str] = field(default_factory=list)
     pilot: dict | None = None
     foreseen: float | None = None  # relMSE of a pass that is made alone, by the pilot's word; None where passes come in threes
+    lit: tuple[int, int] | None = None  # size of the smaller picture that is lit, None for the whole one
 
     def __post_init__(self) -> None:
         if self.machine is not None:
@@ -128,6 +138,32 @@ class Planner:
         if count == GROUPS:
             self.pilot["error"] = found.error(denoiser)
         self.pilot["seconds"] = clock() - begin
+
+    def lit_camera(self, camera: Camera, elapsed: float) -> Camera:
+        """The camera of the picture that is lit: a smaller one where even the smallest pass of the whole would take longer than the budget."""
+        budget = self.settings.time_budget
+        if budget is None or elapsed + self._seconds_of(self.pixels) <= OVERTIME * budget:
+            return camera
+        enlarging = ENLARGING * self.cost.each * self.pixels
+        share = INFORMED if self.pilot else UNSURE
+        small, factor = camera, 1.0
+        while factor < SMALLEST and min(sides(reduced(camera, factor * STEP))) >= FEWEST:
+            factor *= STEP
+            small = reduced(camera, factor)
+            if elapsed + enlarging + self._seconds_of(math.prod(sides(small))) / share <= budget:
+                break
+        if small is not camera:
+            whole, self.lit, self.pixels = self._seconds_of(self.pixels), sides(small), math.prod(sides(small))
+            self.reasons.append(
+                f"the smallest pass of the whole picture would take about {whole:.2g} s: {self.lit[0]}x{self.lit[1]} pixels are lit, and "
+                "enlarged by what the camera sees"
+            )
+        return small
+
+    def _seconds_of(self, pixels: int) -> float:
+        """Of the smallest pass of a picture, and its denoising."""
+        denoising = DENOISING["fast"] * self.machine.denoising(pixels, self.images) if self.settings.denoise else 0.0
+        return self.cost.seconds(pixels, LEAST) + denoising
 
     def first(self, elapsed: float) -> float:
         """Quality of the first pass."""
@@ -247,9 +283,16 @@ class Planner:
             "goal": {name: value for name, value in goals.items() if value is not None},
             "machine": machine,
             "pilot": self.pilot,
+            "lit": None if self.lit is None else list(self.lit),
             "passes": self.passes,
             "reasons": self.reasons,
         }
+
+
+def sides(camera: Camera) -> tuple[int, int]:
+    """Width and height of the part that is rendered, in pixels."""
+    x0, y0, x1, y1 = camera.border
+    return x1 - x0, y1 - y0
 
 
 def reduced(camera: Camera, factor: float) -> Camera:

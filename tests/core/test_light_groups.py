@@ -69,6 +69,18 @@ def test_the_layers_of_groups_add_up_to_the_whole(room, denoise):
         assert all(part.any() and part.min() >= 0 for part in parts.values())
 
 
+def test_they_add_up_where_there_is_no_time_to_light_all_pixels(room, no_time):
+    wide = replace(room, camera=replace(room.camera, width=64, height=64, border=(0, 0, 64, 64)))
+    result = render(wide, replace(QUICK, time_budget=0.2))
+    assert result.stats["auto"]["lit"]
+    for kind in KINDS:
+        parts = {name: result.layers[f"{kind}_{name}"] for name in (KEY, FILL, SHINE, DARK, REST)}
+        whole = result.layers[kind]
+        np.testing.assert_allclose(sum(parts.values()), whole, rtol=1e-3, atol=1e-4 * whole.mean())
+        assert not parts.pop(DARK).any()
+        assert all(part.any() for part in parts.values())
+
+
 def test_groups_leave_the_whole_as_it_is(room):
     with_groups, without = (render(room, replace(QUICK, light_groups=on)).layers for on in (True, False))
     assert not [name for name in without if "_" in name]

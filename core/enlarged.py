@@ -1,0 +1,177 @@
+"""Light of a small picture in a large one: what is next to smooth comes from few pixels, what is sharp from the view itself.
+
+Where there is no time to light every pixel, a smaller picture of the same view is lit, and what the camera sees is traced at full size.  A pixel's
+light is the mean of what pixels around it in the small picture have, by how near they lie and how alike their normals and planes are (joint
+bilateral upsampling, Kopf, Cohen, Lischinski & Uyttendaele 2007), by the ratio to what surfaces reflect there.  Albedo, emission, normals, depth
+and all their edges are those of the view.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from .denoise import mean_factor
+from .jit import kernel, leaf
+from .picture import GroupLight, Picture, denoising_guides, splat
+from .scene import Camera
+from .threads import run_chunks
+from .view.points import glossy_albedos
+from .view.primary import View
+
+LINES = 8  # of pixels a chunk
+REACH = 2  # pixels of the small picture, to each side
+NEAR = np.float32(0.7)  # of them, the deviation of a Gaussian
+OFF_PLANE = np.float32(1.0)  # widths of them off the plane that count a quarter
+REGARDLESS = np.float32(1e-4)  # of the weight goes by nearness alone: a thin thing may show in no small pixel
+BEYOND = np.float32(1e9)  # depth (m) of nothing
+_0 = np.float32(0)
+_1 = np.float32(1)
+
+
+@leaf
+def _weight(normal, position, depth, small_normal, small_position, small_depth, y, x, row, column, away, width):
+    """How much a pixel (row, column) of the small picture tells of the pixel (y, x), which lies `away` of it (pixels, squared)."""
+    near = np.float32(math.exp(-away / (np.float32(2) * NEAR * NEAR)))
+    if small_depth[row, column] >= BEYOND or depth[y, x] >= BEYOND:
+        return near * REGARDLESS
+    cosine = off = _0
+    for c in range(3):
+        cosine += normal[y, x, c] * small_normal[row, column, c]
+        off += normal[y, x, c] * (small_position[row, column, c] - position[y, x, c])
+    cosine = max(cosine, _0)
+    cosine *= cosine
+    cosine *= cosine
+    off /= OFF_PLANE * width
+    alike = cosine * cosine / ((_1 + off * off) * (_1 + off * off))
+    return near * (REGARDLESS + alike)
+
+
+@kernel
+def _interpolate(normal, position, depth, small_normal, small_position, small_depth, values, place, width, top, bottom, out):
+    """Means `out` (H, W, C) of the values (h, w, C) of a small picture around the pixels of the rows top..bottom-1.
+
+    place: (4,) float32, small pixels a pixel down and across, and where the middle of the first one lies.  width: (H, W) float32, of a small pixel (m).
+    """
+    rows, columns, channels = values.shape
+    for y in range(top, bottom):
+        cy = place[0] * np.float32(y) + place[2]
+        for x in range(depth.shape[1]):
+            cx = place[1] * np.float32(x) + place[3]
+            ny, nx = np.int64(math.floor(cy + np.float32(0.5))), np.int64(math.floor(cx + np.float32(0.5)))
+            whole = _0
+            for row in range(max(0, ny - REACH), min(rows, ny + REACH + 1)):
+                for column in range(max(0, nx - REACH), min(columns, nx + REACH + 1)):
+                    dy, dx = np.float32(row) - cy, np.float32(column) - cx
+                    w = _weight(
+                        normal,
+                        position,
+                        depth,
+                        small_normal,
+                        small_position,
+                        small_depth,
+                        y,
+                        x,
+                        row,
+                        column,
+                        dy * dy + dx * dx,
+                        width[y, x],
+                    )
+                    whole += w
+                    for c in range(channels):
+                        out[y, x, c] += w * values[row, column, c]
+            if whole > _0:
+                for c in range(channels):
+                    out[y, x, c] /= whole
+
+
+def _place(small: Camera, camera: Camera) -> np.ndarray:
+    """Where the pixels of a camera's border lie among those of the same camera's smaller picture, as `_interpolate` has it."""
+    scale = small.height / camera.height, small.width / camera.width
+    begins = [(0.5 + camera.border[1 - k]) * scale[k] - small.border[1 - k] - 0.5 for k in range(2)]
+    return np.array([*scale, *begins], np.float32)
+
+
+def _pixel_width(camera: Camera, small: Camera, depth: np.ndarray) -> np.ndarray:
+    """Of a pixel of the small picture where each pixel's surface lies, (H, W) float32 m."""
+    across = np.float32(abs(camera.window[1] - camera.window[0]) / small.width)
+    return np.full_like(depth, across) if camera.orthographic else across * depth
+
+
+def enlarged(picture: Picture, seen: View, small: Camera, camera: Camera, threads: int = 0) -> Picture:
+    """The light of a denoised `picture` of the camera `small` in what the same `camera` has `seen` in a larger one.
+
+    picture: without what shines behind glass.  The means of its layers stay.  Guides and what passes alone know are gone: the result is to be
+    looked at, not to be denoised or averaged.
+    """
+    gloss = splat(seen.points, glossy_albedos(seen.points), seen.shape)
+    small_gloss = np.zeros_like(picture.albedo) if picture.glossy_albedo is None else picture.glossy_albedo
+    guide_albedo, guide_normal = denoising_guides(seen)
+    own = [seen.albedo + gloss, seen.albedo, gloss + guide_albedo - seen.albedo]  # the last is what glass lets through
+    by = [picture.albedo + small_gloss, picture.albedo, small_gloss + picture.guide_albedo - picture.albedo]
+    lights = [picture.direct, picture.diffuse_indirect, picture.glossy_indirect]
+    parts = lights + by
+    parts += [part for light in picture.groups.values() for part in (light.direct, light.diffuse_indirect + light.glossy_indirect)]
+    values = np.concatenate(parts, axis=2)
+    found = np.zeros((*seen.shape, values.shape[2]), np.float32)
+    width = _pixel_width(camera, small, seen.depth)
+    small_normal = picture.guide_normal if picture.own_normal is None else picture.own_normal
+    tables = (
+        seen.mean_normal,
+        seen.position,
+        seen.depth,
+        small_normal,
+        picture.position,
+        picture.depth,
+        values,
+        _place(small, camera),
+        width,
+    )
+    run_chunks(lambda top, bottom: _interpolate(*tables, top, bottom, found), seen.shape[0], LINES, threads)
+    found = [np.ascontiguousarray(found[..., k : k + 3]) for k in range(0, found.shape[2], 3)]
+
+    def modulated(k: int) -> np.ndarray:
+        light = own[k] * np.divide(found[k], found[3 + k], out=np.zeros_like(found[k]), where=found[3 + k] > 0)
+        return light * mean_factor(lights[k], light, threads)
+
+    direct, diffuse, glossy = (modulated(k) for k in range(3))
+    # Lamps and skies behind glass are as sharp as what is in front of it.
+    direct, glossy = direct + seen.emission_behind_one, glossy + seen.emission_behind_more
+    return replace(
+        picture,
+        direct=direct,
+        diffuse_indirect=diffuse,
+        glossy_indirect=glossy,
+        albedo=seen.albedo,
+        emission=seen.emission,
+        normal=seen.normal,
+        guide_albedo=guide_albedo,
+        guide_normal=guide_normal,
+        foreseen=np.zeros_like(diffuse),
+        position=seen.position,
+        depth=seen.depth,
+        alpha=None if picture.alpha is None else _1 - seen.clear,
+        smooth=None,
+        glossy_albedo=None,
+        own_normal=None,
+        mirrored_albedo=None,
+        sharp=None,
+        shine=None,
+        points=(),
+        groups=_groups(picture.groups, found[2 * len(lights) :], direct, diffuse + glossy, seen),
+    )
+
+
+def _groups(
+    groups: dict[str, GroupLight], shares: list[np.ndarray], direct: np.ndarray, indirect: np.ndarray, seen: View
+) -> dict[str, GroupLight]:
+    """Each group's share of direct and of indirect light, by what interpolation has found of them, `shares` (two a group)."""
+    found = {}
+    sums = [np.maximum(sum(shares[k::2]), np.float32(1e-30)) for k in range(2)] if groups else []
+    for k, name in enumerate(groups):
+        own = [light * (part / whole) for light, part, whole in zip((direct, indirect), shares[2 * k : 2 * k + 2], sums, strict=True)]
+        emission = seen.emitted[k, 0] if k < len(seen.emitted) else np.zeros_like(direct)  # groups without light come last
+        found[name] = GroupLight(*own, np.zeros_like(direct), np.ascontiguousarray(emission))
+    return found

@@ -1,0 +1,138 @@
+"""Light of a small picture in a large one, where there is no time to light every pixel."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lumigate.core.enlarged import LINES, _interpolate, _place
+from lumigate.core.film import Film
+from lumigate.core.pipeline import render
+from lumigate.core.planning.machine import Machine
+from lumigate.core.planning.planner import FEWEST, LEAST, Planner, reduced, sides
+from lumigate.core.settings import RenderSettings
+
+MACHINE = Machine(ray=1e-6, denoiser=0.01, denoiser_pixel=1e-6, threads=2)
+
+
+@pytest.fixture(scope="module")
+def sphere(build):
+    """A closed sphere, radiance 1 W/m^2/sr, albedo 0.5, seen from its middle."""
+    return build.scene(build.geometry(*build.icosphere(3)), build.materials((0.5, 1.0)), camera=build.camera(width=96, height=64))
+
+
+def flat(shape, side):
+    """Normals, positions and depths of two half planes that meet at `side` (0..1), the right one turned away from the left one."""
+    height, width = shape
+    x = (np.arange(width) + 0.5) / width
+    right = x > side
+    normal = np.zeros((height, width, 3), np.float32)
+    normal[:, ~right, 2], normal[:, right, 0] = 1, 1
+    position = np.zeros((height, width, 3), np.float32)
+    position[..., 0], position[..., 1] = x, ((np.arange(height) + 0.5) / height)[:, None]
+    return normal, position, np.ones(shape, np.float32)
+
+
+def interpolated(build, shape, factor, side, values):
+    """`values` of a picture of so many times fewer pixels, of `flat`, in one of that shape."""
+    camera = build.camera(width=shape[1], height=shape[0])
+    small = reduced(camera, factor)
+    out = np.zeros((*shape, 1), np.float32)
+    width = np.full(shape, 1 / small.width, np.float32)
+    found = values(small.height, small.width)
+    for top in range(0, shape[0], LINES):
+        _interpolate(
+            *flat(shape, side), *flat(found.shape[:2], side), found, _place(small, camera), width, top, min(top + LINES, shape[0]), out
+        )
+    return out[..., 0]
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.0, 3.7])
+def test_light_stays_on_its_side_of_an_edge(build, factor):
+    def values(height, width):
+        light = np.ones((height, width, 1), np.float32)
+        light[:, (np.arange(width) + 0.5) / width > 0.52] = 5
+        return light
+
+    found = interpolated(build, (40, 60), factor, 0.52, values)
+    right = (np.arange(60) + 0.5) / 60 > 0.52
+    assert found[:, ~right] == pytest.approx(np.ones((40, (~right).sum())), abs=0.03)
+    assert found[:, right] == pytest.approx(np.full((40, right.sum()), 5.0), abs=0.03)
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.0, 3.7])
+def test_a_gradient_is_a_gradient_and_lies_where_it_lay(build, factor):
+    def values(height, width):
+        return np.broadcast_to(((np.arange(width) + 0.5) / width)[None, :, None], (height, width, 1)).astype(np.float32)
+
+    found = interpolated(build, (40, 60), factor, 2.0, values)
+    x = (np.arange(60) + 0.5) / 60
+    inside = (x > 0.2) & (x < 0.8)
+    assert np.abs(found[:, inside] - x[inside]).max() < 0.25 * factor / 60
+    assert abs((found[:, inside] - x[inside]).mean()) < 0.02 * factor / 60
+
+
+def test_places_of_a_border(build):
+    camera = replace(build.camera(width=640, height=360), border=(100, 50, 500, 250))
+    small = reduced(camera, 2.0)
+    down, across, top, left = _place(small, camera)
+    assert (down, across) == (0.5, 0.5)
+    # The middle of the first pixel of the border is a quarter of a small one beyond the small border's first edge.
+    assert (top, left) == (-0.25, -0.25)
+
+
+def lit(budget, build, size=(640, 360)):
+    camera = build.camera(width=size[0], height=size[1])
+    planner = Planner(RenderSettings(time_budget=budget).with_defaults(), size[0] * size[1], MACHINE)
+    return planner, camera, planner.lit_camera(camera, 0.1)
+
+
+def test_what_fits_is_lit_whole(build):
+    planner, camera, small = lit(30.0, build)
+    assert small is camera and planner.lit is None and planner.pixels == 640 * 360
+
+
+def test_the_less_time_the_fewer_pixels_are_lit(build):
+    whole = lit(30.0, build)[0]._seconds_of(640 * 360)
+    numbers = []
+    for part in (0.9, 0.6, 0.4):
+        planner, camera, small = lit(part * whole, build)
+        assert planner.pixels == np.prod(sides(small)) < 640 * 360
+        assert planner.lit == sides(small) and "enlarged" in planner.reasons[-1]
+        assert small.window == camera.window
+        assert 0.1 + planner._seconds_of(planner.pixels) < part * whole
+        assert planner.first(0.2) >= LEAST
+        numbers.append(planner.pixels)
+    assert numbers == sorted(numbers, reverse=True) and numbers[0] > numbers[2]
+
+
+def test_a_picture_does_not_vanish(build):
+    _, _, small = lit(0.01, build)
+    assert min(sides(small)) >= FEWEST
+    assert lit(0.01, build, (FEWEST, FEWEST))[0].lit is None
+
+
+def test_a_furnace_without_time_is_as_bright_as_it_is(sphere, no_time):
+    settings = RenderSettings(time_budget=0.2, vpls=512)
+    result = render(sphere, settings)
+    auto = result.stats["auto"]
+    assert auto["lit"] and auto["lit"][0] < 96 and result.stats["size"] == [96, 64]
+    json.dumps(auto, allow_nan=False)
+    layers = result.layers
+    assert {layer.shape[:2] for layer in layers.values()} == {(64, 96)}
+    np.testing.assert_allclose(layers["Direct"] + layers["Indirect"] + layers["Emission"], layers["Combined"], rtol=1e-5)
+    exact = np.pi * sum(0.5**k for k in range(1, 5))
+    assert float(layers["Irradiance"].mean()) == pytest.approx(exact, rel=0.05)
+    assert float(np.abs(layers["Irradiance"] / exact - 1).max()) < 0.5
+    assert float(layers["Emission"].min()) == pytest.approx(1)
+
+
+def test_a_transparent_film_has_the_alpha_of_the_whole_picture(build, no_time):
+    ball = build.geometry(*build.icosphere(3, inward=False))
+    wide = build.scene(ball, build.materials((0.5, 0.0)), world=(1, 1, 1), camera=build.camera(width=64, height=64, position=(0, 0, 3)))
+    settings = RenderSettings(vpls=512, film=Film(transparent=True))
+    quick = render(wide, replace(settings, time_budget=0.2))
+    assert quick.stats["auto"]["lit"]
+    alpha, exact = quick.layers["Combined"][..., 3], render(wide, settings).layers["Combined"][..., 3]
+    assert np.abs(alpha - exact).mean() < 0.02
