@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from .denoise import mean_factor
-from .jit import kernel, leaf
+from .jit import inlined, kernel, leaf
 from .picture import GroupLight, Picture, denoising_guides, splat
 from .scene import Camera
 from .threads import run_chunks
@@ -22,63 +23,77 @@ from .view.points import glossy_albedos
 from .view.primary import View
 
 LINES = 8  # of pixels a chunk
-REACH = 2  # pixels of the small picture, to each side
-NEAR = np.float32(0.7)  # of them, the deviation of a Gaussian
+REACH = 1  # pixels of the small picture, to each side of the nearest one
+AWAY = np.float32(REACH + 0.5)  # where a pixel counts no more: farther than any that is looked at, so that none comes in with a step
 OFF_PLANE = np.float32(1.0)  # widths of them off the plane that count a quarter
+UNLIKE = np.float32(0.3)  # difference of albedo and emission that counts half
 REGARDLESS = np.float32(1e-4)  # of the weight goes by nearness alone: a thin thing may show in no small pixel
 BEYOND = np.float32(1e9)  # depth (m) of nothing
 _0 = np.float32(0)
 _1 = np.float32(1)
 
 
+class Guides(NamedTuple):
+    """What tells which pixels of two pictures are alike, (H, W, 3) float32 but for depth (H, W).
+
+    normal: mean of the samples.  position (m), depth: of the nearest one.  look: albedo and, of what shines, how much (0..1 and more).
+    """
+
+    normal: np.ndarray
+    position: np.ndarray
+    depth: np.ndarray
+    look: np.ndarray
+
+    @staticmethod
+    def of(normal: np.ndarray, position: np.ndarray, depth: np.ndarray, albedo: np.ndarray, emission: np.ndarray) -> Guides:
+        """By albedo and emission; a lamp's own light differs from what it is set into."""
+        return Guides(*(np.ascontiguousarray(part) for part in (normal, position, depth, albedo + emission / (_1 + emission))))
+
+
+@inlined
+def _near(distance):
+    """Biweight kernel of a distance (pixels)."""
+    x = distance / AWAY
+    y = max(_0, _1 - x * x)
+    return y * y
+
+
 @leaf
-def _weight(normal, position, depth, small_normal, small_position, small_depth, y, x, row, column, away, width):
-    """How much a pixel (row, column) of the small picture tells of the pixel (y, x), which lies `away` of it (pixels, squared)."""
-    near = np.float32(math.exp(-away / (np.float32(2) * NEAR * NEAR)))
-    if small_depth[row, column] >= BEYOND or depth[y, x] >= BEYOND:
+def _weight(own, small, y, x, row, column, near, width):
+    """How much a pixel (row, column) of the `small` picture tells of the pixel (y, x), which counts as `near`."""
+    if small.depth[row, column] >= BEYOND or own.depth[y, x] >= BEYOND:
         return near * REGARDLESS
-    cosine = off = _0
+    cosine = off = unlike = _0
     for c in range(3):
-        cosine += normal[y, x, c] * small_normal[row, column, c]
-        off += normal[y, x, c] * (small_position[row, column, c] - position[y, x, c])
+        cosine += own.normal[y, x, c] * small.normal[row, column, c]
+        off += own.normal[y, x, c] * (small.position[row, column, c] - own.position[y, x, c])
+        unlike += abs(own.look[y, x, c] - small.look[row, column, c])
     cosine = max(cosine, _0)
     cosine *= cosine
     cosine *= cosine
     off /= OFF_PLANE * width
-    alike = cosine * cosine / ((_1 + off * off) * (_1 + off * off))
+    unlike /= UNLIKE
+    alike = cosine * cosine / ((_1 + off * off) * (_1 + off * off) * (_1 + unlike * unlike))
     return near * (REGARDLESS + alike)
 
 
 @kernel
-def _interpolate(normal, position, depth, small_normal, small_position, small_depth, values, place, width, top, bottom, out):
+def _interpolate(own, small, values, place, width, top, bottom, out):
     """Means `out` (H, W, C) of the values (h, w, C) of a small picture around the pixels of the rows top..bottom-1.
 
-    place: (4,) float32, small pixels a pixel down and across, and where the middle of the first one lies.  width: (H, W) float32, of a small pixel (m).
+    own, small: `Guides` of both.  place: (4,) float32, small pixels a pixel down and across, and where the middle of the first one lies.  width: (H, W) float32, of a small pixel (m).
     """
     rows, columns, channels = values.shape
     for y in range(top, bottom):
         cy = place[0] * np.float32(y) + place[2]
-        for x in range(depth.shape[1]):
+        for x in range(own.depth.shape[1]):
             cx = place[1] * np.float32(x) + place[3]
             ny, nx = np.int64(math.floor(cy + np.float32(0.5))), np.int64(math.floor(cx + np.float32(0.5)))
             whole = _0
             for row in range(max(0, ny - REACH), min(rows, ny + REACH + 1)):
                 for column in range(max(0, nx - REACH), min(columns, nx + REACH + 1)):
                     dy, dx = np.float32(row) - cy, np.float32(column) - cx
-                    w = _weight(
-                        normal,
-                        position,
-                        depth,
-                        small_normal,
-                        small_position,
-                        small_depth,
-                        y,
-                        x,
-                        row,
-                        column,
-                        dy * dy + dx * dx,
-                        width[y, x],
-                    )
+                    w = _weight(own, small, y, x, row, column, _near(dy) * _near(dx), width[y, x])
                     whole += w
                     for c in range(channels):
                         out[y, x, c] += w * values[row, column, c]
@@ -117,18 +132,10 @@ def enlarged(picture: Picture, seen: View, small: Camera, camera: Camera, thread
     values = np.concatenate(parts, axis=2)
     found = np.zeros((*seen.shape, values.shape[2]), np.float32)
     width = _pixel_width(camera, small, seen.depth)
-    small_normal = picture.guide_normal if picture.own_normal is None else picture.own_normal
-    tables = (
-        seen.mean_normal,
-        seen.position,
-        seen.depth,
-        small_normal,
-        picture.position,
-        picture.depth,
-        values,
-        _place(small, camera),
-        width,
-    )
+    normal = picture.guide_normal if picture.own_normal is None else picture.own_normal
+    guides = Guides.of(seen.mean_normal, seen.position, seen.depth, seen.albedo, seen.emission)
+    small_guides = Guides.of(normal, picture.position, picture.depth, picture.albedo, picture.emission)
+    tables = guides, small_guides, values, _place(small, camera), width
     run_chunks(lambda top, bottom: _interpolate(*tables, top, bottom, found), seen.shape[0], LINES, threads)
     found = [np.ascontiguousarray(found[..., k : k + 3]) for k in range(0, found.shape[2], 3)]
 

@@ -234,7 +234,7 @@ def _calibration(run: Run) -> Iterator[None]:
     run.seconds["calibration"] = run.seconds.get("calibration", 0.0) + time.perf_counter() - begin
 
 
-def _planner(run: Run, tables: Transport, settings: RenderSettings, pixels: int, threads: int) -> Planner:
+def _planner(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, threads: int) -> Planner:
     """Who decides the passes; what this machine can do is only asked where there is something to be reached."""
     machine = None
     if settings.time_budget is not None:
@@ -245,7 +245,10 @@ def _planner(run: Run, tables: Transport, settings: RenderSettings, pixels: int,
         images += 1
     if run.groups:  # direct and indirect light of three groups are two images, denoised in half the time
         images += -(-len(run.groups.names) // 3)
-    return Planner(settings, pixels, machine, images=images, cold=settings.method not in LOADED)
+    triangles = len(scene.geometry.triangles)
+    return Planner(
+        settings, math.prod(sides(scene.camera)), machine, images=images, cold=settings.method not in LOADED, triangles=triangles
+    )
 
 
 def _fly(
@@ -281,27 +284,32 @@ def _passes(
     """
     run.groups = _light_groups(run, scene, settings)
     with prepared(run, scene, settings, threads, topologies) as tables:
-        planner = run.planner = _planner(run, tables, settings, math.prod(sides(scene.camera)), threads)
+        planner = run.planner = _planner(run, scene, tables, settings, threads)
         _fly(run, planner, scene, tables, denoiser, threads, elapsed)
-        lit, whole = scene.camera, None
+        full, whole = scene, None
         if not (run.sequence or settings.debug_layers):
-            lit = planner.lit_camera(scene.camera, elapsed())
-        if lit is not scene.camera:
-            whole = _look(run, scene, tables, replace(settings, pixel_samples=min(settings.pixel_samples, ENLARGED_SAMPLES)), threads)
-            scene = replace(scene, camera=lit)
+            scene = replace(scene, camera=planner.lit_camera(scene.camera, elapsed()))
+        if planner.lit:
+            whole = _look(run, full, tables, replace(settings, pixel_samples=min(settings.pixel_samples, ENLARGED_SAMPLES)), threads)
         passes = Passes(threads)
         quality = planner.first(elapsed())
         while quality is not None:
             start = elapsed()
             passes.add(_pass(run, scene, tables, settings.scaled(quality, passes.count), threads, quality, shining=whole is None))
             planner.observe(quality, elapsed() - start)
+            larger = planner.larger_camera(full.camera, elapsed()) if whole else None
+            if larger:
+                passes, scene = Passes(threads), replace(scene, camera=larger)
+                whole = whole if planner.lit else None
+                quality = planner.first(elapsed())
+                continue
             with run.stage("plan"):
                 quality = planner.next(elapsed(), passes, denoiser)
         if run.sequence:
             for turn in run.sequence.first_turns:
                 run.turn = turn
                 run.sequence.add(_pass(run, scene, tables, settings, threads, 1.0))
-    return passes, lit, whole
+    return passes, scene.camera, whole
 
 
 def _light_groups(run: Run, scene: Scene, settings: RenderSettings) -> LightGroups | None:

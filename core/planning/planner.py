@@ -16,7 +16,7 @@ from ..passes import GROUPS, SLOPE, UNSEEN_NOISE, Passes, denoising_quality, sha
 from ..picture import Picture
 from ..scene import Camera
 from ..settings import RenderSettings
-from .cost import PassCost
+from .cost import MIDDLING, PassCost
 from .machine import Machine
 
 # Quality of a pass: 1 is that of a picture without budget; its samples and its time go with it.
@@ -35,9 +35,12 @@ PILOT_PIXELS, PILOT_QUALITY = 8_000, 0.25
 PILOT_SHARE = 0.1  # of a budget, at most
 SMALLER = 6  # times as many pixels as the pilot has make it worth while
 # Where not even the smallest pass fits, a smaller picture is lit, and enlarged by what the camera sees at full size (`core.enlarged`), at about
-# so much of the cost of a pixel (480x270, 1280x720: .10 to .14) and with so many primary samples.
-ENLARGING, ENLARGED_SAMPLES = 0.12, 6
-OVERTIME = 1.05  # times a budget that a whole picture may take by the prediction
+# so much of the cost of a pixel (480x270: .07 in the living room, .12 in the atrium) and with so many primary samples.
+ENLARGING, ENLARGED_SAMPLES = 0.1, 4
+ENLARGING_ITSELF = 0.3  # of that, apart from the view
+LIT_SHARE = 0.93  # of what is left of a budget for the pass of the smaller picture and its denoising: predictions are not exact
+MUCH_LARGER = 2.0  # times the pixels make it worth while to light a picture again
+OVERTIME = 1.1  # times a budget that a whole picture may take by the prediction
 STEP, SMALLEST, FEWEST = (
     2**0.25,
     8.0,
@@ -59,7 +62,7 @@ class Planner:
     """Decides the passes of one render, and keeps what it saw and why it chose.
 
     settings: with nothing left open.  pixels: of the picture.  images: that the denoiser is given in the end.
-    cold: this process has still to load the kernels.
+    cold: this process has still to load the kernels.  triangles: of the scene.
     """
 
     settings: RenderSettings
@@ -67,16 +70,18 @@ class Planner:
     machine: Machine | None
     images: int = 2
     cold: bool = False
+    triangles: int = MIDDLING
     cost: PassCost | None = None
     passes: list[dict] = field(default_factory=list)
     reasons: list[str] = field(default_factory=list)
     pilot: dict | None = None
     foreseen: float | None = None  # relMSE of a pass that is made alone, by the pilot's word; None where passes come in threes
     lit: tuple[int, int] | None = None  # size of the smaller picture that is lit, None for the whole one
+    whole: int = 0  # pixels of the picture itself, where a smaller one is lit
 
     def __post_init__(self) -> None:
         if self.machine is not None:
-            self.cost = PassCost.of(self.machine, self.cold)
+            self.cost = PassCost.of(self.machine, self.cold, self.triangles)
 
     @property
     def most(self) -> float:
@@ -85,7 +90,13 @@ class Planner:
 
     def finishing(self, weight: float) -> float:
         """Seconds from the last of passes of so much quality in all to the layers."""
-        return self.denoising_seconds(denoising_quality(self.settings, weight)) if self.settings.denoise else 0.0
+        denoising = self.denoising_seconds(denoising_quality(self.settings, weight)) if self.settings.denoise else 0.0
+        return denoising + self._enlarging
+
+    @property
+    def _enlarging(self) -> float:
+        """Seconds of the last step, where a smaller picture is lit."""
+        return ENLARGING_ITSELF * ENLARGING * self.cost.each * self.whole if self.lit else 0.0
 
     def denoising_seconds(self, quality: str) -> float:
         """Seconds of the denoiser, by what the machine's file says."""
@@ -96,7 +107,7 @@ class Planner:
         wanted = denoising_quality(self.settings, weight, least)
         if self.settings.time_budget is None or self.settings.smooth:
             return wanted
-        left = self.settings.time_budget - elapsed
+        left = self.settings.time_budget - elapsed - self._enlarging
         fitting = (quality for quality in DENOISING if self.denoising_seconds(quality) <= left)
         return max((least, *fitting), key=DENOISING.__getitem__)
 
@@ -144,20 +155,46 @@ class Planner:
         budget = self.settings.time_budget
         if budget is None or elapsed + self._seconds_of(self.pixels) <= OVERTIME * budget:
             return camera
-        enlarging = ENLARGING * self.cost.each * self.pixels
-        share = INFORMED if self.pilot else UNSURE
-        small, factor = camera, 1.0
-        while factor < SMALLEST and min(sides(reduced(camera, factor * STEP))) >= FEWEST:
-            factor *= STEP
-            small = reduced(camera, factor)
-            if elapsed + enlarging + self._seconds_of(math.prod(sides(small))) / share <= budget:
-                break
+        self.whole, whole = self.pixels, self._seconds_of(self.pixels)
+        small = self._fitting(camera, budget - elapsed - ENLARGING * self.cost.each * self.whole)
         if small is not camera:
-            whole, self.lit, self.pixels = self._seconds_of(self.pixels), sides(small), math.prod(sides(small))
+            self._light(small)
             self.reasons.append(
                 f"the smallest pass of the whole picture would take about {whole:.2g} s: {self.lit[0]}x{self.lit[1]} pixels are lit, and "
                 "enlarged by what the camera sees"
             )
+        return small
+
+    def larger_camera(self, camera: Camera, elapsed: float) -> Camera | None:
+        """The camera of a much larger picture that fits into what is left, now that the smaller one's pass shows what this scene costs.
+
+        camera: of the whole picture.  None where there is none, or none is asked for.
+        """
+        if not self.lit:
+            return None
+        left = self.settings.time_budget - elapsed - self._enlarging
+        larger = camera if self._seconds_of(math.prod(sides(camera))) <= left else self._fitting(camera, left)
+        if math.prod(sides(larger)) < MUCH_LARGER * self.pixels:
+            return None
+        self._light(larger)
+        if larger is camera:
+            self.lit = None
+        self.reasons.append(
+            f"that took less time than foreseen: {math.prod(sides(larger)) / math.prod(sides(camera)):.0%} of the pixels are lit"
+        )
+        return larger
+
+    def _light(self, camera: Camera) -> None:
+        self.lit, self.pixels = sides(camera), math.prod(sides(camera))
+
+    def _fitting(self, camera: Camera, seconds: float) -> Camera:
+        """The largest picture of a few whose smallest pass fits, or the smallest of them."""
+        small, factor = camera, 1.0
+        while factor < SMALLEST and min(sides(reduced(camera, factor * STEP))) >= FEWEST:
+            factor *= STEP
+            small = reduced(camera, factor)
+            if self._seconds_of(math.prod(sides(small))) <= LIT_SHARE * seconds:
+                break
         return small
 
     def _seconds_of(self, pixels: int) -> float:
@@ -200,6 +237,8 @@ class Planner:
         return quality
 
     def _first_of_budget(self, left: float) -> float:
+        if self.lit:  # more time would have been better spent on more pixels
+            return LEAST
         least = self.cost.seconds(self.pixels, LEAST)
         whole = self.cost.quality(self.pixels, left)
         if self.pilot:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lumigate.core.enlarged import LINES, _interpolate, _place
+from lumigate.core.enlarged import LINES, Guides, _interpolate, _place
 from lumigate.core.film import Film
 from lumigate.core.pipeline import render
 from lumigate.core.planning.machine import Machine
@@ -23,7 +23,7 @@ def sphere(build):
 
 
 def flat(shape, side):
-    """Normals, positions and depths of two half planes that meet at `side` (0..1), the right one turned away from the left one."""
+    """Guides of two half planes that meet at `side` (0..1), the right one turned away from the left one."""
     height, width = shape
     x = (np.arange(width) + 0.5) / width
     right = x > side
@@ -31,7 +31,7 @@ def flat(shape, side):
     normal[:, ~right, 2], normal[:, right, 0] = 1, 1
     position = np.zeros((height, width, 3), np.float32)
     position[..., 0], position[..., 1] = x, ((np.arange(height) + 0.5) / height)[:, None]
-    return normal, position, np.ones(shape, np.float32)
+    return Guides.of(normal, position, np.ones(shape, np.float32), np.full_like(normal, 0.5), np.zeros_like(normal))
 
 
 def interpolated(build, shape, factor, side, values):
@@ -43,7 +43,7 @@ def interpolated(build, shape, factor, side, values):
     found = values(small.height, small.width)
     for top in range(0, shape[0], LINES):
         _interpolate(
-            *flat(shape, side), *flat(found.shape[:2], side), found, _place(small, camera), width, top, min(top + LINES, shape[0]), out
+            flat(shape, side), flat(found.shape[:2], side), found, _place(small, camera), width, top, min(top + LINES, shape[0]), out
         )
     return out[..., 0]
 
@@ -136,3 +136,28 @@ def test_a_transparent_film_has_the_alpha_of_the_whole_picture(build, no_time):
     assert quick.stats["auto"]["lit"]
     alpha, exact = quick.layers["Combined"][..., 3], render(wide, settings).layers["Combined"][..., 3]
     assert np.abs(alpha - exact).mean() < 0.02
+
+
+def test_a_quick_scene_is_lit_whole_after_all(build):
+    whole = lit(30.0, build)[0]._seconds_of(640 * 360)
+    planner, camera, _ = lit(0.5 * whole, build)
+    assert planner.larger_camera(camera, 0.1) is None  # nothing was seen yet that would say so
+    planner.observe(LEAST, 0.02 * planner.cost.seconds(planner.pixels, LEAST))
+    assert planner.larger_camera(camera, 0.15) is camera
+    assert planner.lit is None and planner.pixels == 640 * 360
+
+
+def test_a_scene_as_slow_as_foreseen_stays_as_it_is(build):
+    whole = lit(30.0, build)[0]._seconds_of(640 * 360)
+    planner, camera, small = lit(0.5 * whole, build)
+    seconds = planner.cost.seconds(planner.pixels, LEAST)
+    planner.observe(LEAST, seconds)
+    assert planner.larger_camera(camera, 0.2 + seconds) is None
+    assert planner.lit == sides(small)
+
+
+def test_what_is_next_to_enlarging_is_left_of_a_budget(build):
+    whole = lit(30.0, build)[0]._seconds_of(640 * 360)
+    planner, *_ = lit(0.5 * whole, build)
+    assert planner.finishing(LEAST) > planner.denoising_seconds("fast")
+    assert planner.denoising_quality(LEAST, planner.settings.time_budget, "fast") == "fast"

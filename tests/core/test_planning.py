@@ -10,7 +10,7 @@ from lumigate.core.passes import GROUPS, Passes
 from lumigate.core.picture import Picture
 from lumigate.core.pipeline import render
 from lumigate.core.planning import machine as machine_file
-from lumigate.core.planning.cost import BASE, PassCost
+from lumigate.core.planning.cost import BASE, MIDDLING, PassCost
 from lumigate.core.planning.machine import Machine, cached_machine, look_again
 from lumigate.core.planning.planner import LEAST, MOST, PILOT_PIXELS, Planner, reduced
 from lumigate.core.settings import QUALITIES, QUALITY_ERRORS, RenderSettings
@@ -49,6 +49,13 @@ def test_time_is_used_up_and_not_overrun(seconds, slow):
     unknown = 0.4 if passes.count == 1 else 0.0  # how much of the first pass went into loading
     assert elapsed > min(0.85 * seconds, seconds - 1.5 * smallest - unknown)
     assert elapsed < 1.1 * seconds or passes.count == 1
+
+
+def test_larger_scenes_are_foreseen_to_take_longer():
+    few, middling, many = (PassCost.of(MACHINE, False, triangles).seconds(100_000, 0.125) for triangles in (32, MIDDLING, 500_000))
+    assert few < 0.5 * middling and 1.4 * middling < many
+    assert middling == pytest.approx(PassCost.of(MACHINE, False).seconds(100_000, 0.125))
+    assert PassCost.of(MACHINE, False, 0).seconds(100_000, 0.125) > 0
 
 
 def test_what_cannot_fit_is_said():
