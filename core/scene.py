@@ -26,10 +26,10 @@ RECTANGLE, ELLIPSE = 0, 1
 # Name of the light group of all that has none, so that the groups add up to the whole.
 REMAINDER = "Remainder"
 
-# Flags of a material (`Materials.flags`).  ANGLED: its nodes ask for the side or the angle that it is seen from.  The last one is set for
-# views alone (core/view/mirrors.py).
+# Flags of a material (`Materials.flags`).  ANGLED: its nodes ask for the side or the angle that it is seen from.  MIRRORING is set for views
+# alone (core/view/mirrors.py), BRUSHED for light alone (core/surfaces/brushed.py).
 EMISSIVE, TRANSPARENT, GLOSSY_LOBE, CONSTANT, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, ANGLED, MIRRORING = 1, 2, 4, 8, 16, 32, 64, 128, 256
-FROSTED, COATED = 512, 1024
+FROSTED, COATED, BRUSHED = 512, 1024, 2048
 
 
 @dataclass

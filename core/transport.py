@@ -8,13 +8,14 @@ import numpy as np
 
 from .references import Reference
 from .scene import TRANSLUCENT, Geometry, MaterialTables
+from .surfaces.brushed import with_brushed
 
 
 class Transport(NamedTuple):
     """What a kernel needs to trace, evaluate surfaces and sample lamps.
 
     rays: `RayScene.tables`.  vertices, triangles, corner_normals, attributes, material, object,
-    object_visibility: as in `Geometry`.  materials: `MaterialTables`.  emitters: `lamps.Emitters`.
+    object_visibility: as in `Geometry`.  materials: `MaterialTables`, with `BRUSHED` set.  emitters: `lamps.Emitters`.
     """
 
     rays: tuple
@@ -42,7 +43,7 @@ def transport(geometry: Geometry, materials: MaterialTables, rays, emitters) -> 
             g.material,
             g.object,
             g.object_visibility.astype(np.uint32),
-            materials,
+            with_brushed(materials, g.material, g.attributes),
             emitters,
         )
     )

@@ -25,6 +25,7 @@ from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.sequences import sobol
 from ..scene import CONSTANT, EMISSIVE, GLOSSY, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT
+from ..surfaces.brushed import is_brushed
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import (
     DIFFUSE,
@@ -56,7 +57,6 @@ from .wide_lobes import (
     bound,
     drawn_share,
     gather_density,
-    is_brushed,
     is_mirror,
     is_wide,
     known_light,

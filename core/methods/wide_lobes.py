@@ -5,7 +5,8 @@ its lobe, too: of the light that a surface y sends to a point x from direction d
 (`importance_sampling`), but no more than `bound` of it, for their shadow rays are not drawn where the lobe is bright.  The rest is left to
 gather rays and rays from the lobe, by the balance heuristic (Veach & Guibas 1995).
 
-Surfaces nearer than the lobe's blur of a cell of the cache, and mirrors, whose light a cell does not know, are left to the rays from the lobe alone.
+Surfaces nearer than the lobe's blur of a cell of the cache, and mirrors (`surfaces.brushed`), whose light a cell does not know, are left to the rays
+from the lobe alone.
 """
 
 from __future__ import annotations
@@ -15,14 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined
-from ..scene import CONSTANT, DIFFUSE, GLOSSY
-from ..surfaces.layout import DIFFUSE as LAYOUT_DIFFUSE
-from ..surfaces.layout import GLOSSY_F0, ROUGHNESS
+from ..scene import BRUSHED, DIFFUSE, GLOSSY
 from ..surfaces.lobes import ALBEDO, ALPHA
 
 WIDE_ALPHA = np.float32(0.1)  # of narrower lobes the other rays find next to nothing
 NARROW = np.float32(0.35)  # roughness of what shows more than a cell of the cache could tell
-BRUSHED = np.float32(0.6)  # the same of what reflects mostly by its lobe, as metal: the cache takes all of that as diffuse
 MOST = np.float32(3.0)  # times a lobe's albedo, as a diffuse one: brighter directions are left to its own rays in part
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -53,20 +51,8 @@ def sees_alike(visibility: np.ndarray) -> bool:
 
 @inlined
 def is_mirror(materials, material):
-    """Whether a material `is_brushed`, wherever it is: of textured ones the cache's light is taken as it is."""
-    return bool(materials.flags[material] & CONSTANT) and is_brushed(materials.constant[material])
-
-
-@inlined
-def is_brushed(surface):
-    """Whether a surface (row of `surfaces.layout`) reflects mostly by a lobe, narrow enough (`BRUSHED`) to show more than the cache could tell."""
-    if not surface[ROUGHNESS] < BRUSHED:
-        return False
-    glossy = diffuse = _0
-    for c in range(3):
-        glossy += surface[GLOSSY_F0 + c]
-        diffuse += surface[LAYOUT_DIFFUSE + c]
-    return glossy > diffuse
+    """Whether gather rays and reflections that meet a material follow its lobe, as that of a mirror."""
+    return materials.flags[material] & BRUSHED != 0
 
 
 @inlined

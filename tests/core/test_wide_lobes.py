@@ -9,6 +9,7 @@ from lumigate.core.methods.glossy import reflect
 from lumigate.core.methods.importance_sampling import ImportanceSampling
 from lumigate.core.methods.wide_lobes import sees_alike
 from lumigate.core.rays import RayScene
+from lumigate.core.surfaces.brushed import with_brushed
 from lumigate.core.surfaces.layout import DIFFUSE, GLOSSY_F0, ROUGHNESS
 from lumigate.core.transport import transport
 from lumigate.core.view.primary import view
@@ -65,7 +66,8 @@ def test_what_mirrors_show_is_left_to_the_lobes_own_rays(room):
     tables, points = room
     constant = tables.materials.constant.copy()
     constant[0, DIFFUSE : DIFFUSE + 3], constant[0, GLOSSY_F0 : GLOSSY_F0 + 3], constant[0, ROUGHNESS] = 0, 0.9, 0.1
-    mirrors = tables._replace(materials=tables.materials._replace(constant=constant))
+    materials = with_brushed(tables.materials._replace(constant=constant), tables.material, tables.attributes)
+    mirrors = tables._replace(materials=materials)
     dull = reflections(room, 0.7, True, 1)
     shown = reflections((mirrors, points), 0.7, True, 1)
     alone = reflections((mirrors, points), 0.7, False, 1)
