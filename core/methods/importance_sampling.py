@@ -737,7 +737,9 @@ class ImportanceSampling:
 
         self.rays += sum(run_chunks(work, n, CHUNK, self.threads, progress))
         if self.caustics:
-            self.rays += add_caustics(self.scene, self.caustics, points, self.seed + 8 + first, self.threads, out)
+            self.rays += add_caustics(
+                self.scene, self.caustics, points, self.seed + 8 + first, self.threads, out, shown, self.near, self.cache.size
+            )
         self.found = sights, parts, gathered
         self.gathered = GatherRays(gather, met, self.seed + 3, first)
         looks = np.minimum(np.maximum(1, samples // PICKS), len(self.lights))

@@ -116,7 +116,7 @@ class LightCache(NamedTuple):
     sent: (C, 3 G) float32 W/m^2, the row that gather rays look up again, the mean of what either half of the paths tells of it.
     lit: (C, 3 G) float32 W/m^2, the part of `sent` that virtual lights carry to where their geometry term is not clamped.  How bright a
         cell is, on which that hangs, is told for each half by the other one: the product has no bias by their noise.
-    dull: (C, 3 G) float32, of `sent`, what diffuse light gets: all of it, or where photons bring what lobes reflect of the lamps (`caustics`) the rest.
+    dull: (C, 3 G) float32, of `sent`, what diffuse light and wide lobes get: all of it, or where photons bring what lobes reflect of the lamps (`caustics`) the rest.
     share: (C,) float32, how much of a virtual light's flux that is.
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
     later: float32, by which `share` is less for light that has left several surfaces.
