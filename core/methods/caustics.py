@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..jit import inlined, kernel, leaf
+from ..lamps.direct import set_point_lobe
 from ..lamps.emission import FOR_EVER, emit, focused
 from ..lamps.links import lights
 from ..lamps.shapes import AWAY_FROM_CENTRE
@@ -32,13 +33,14 @@ from ..sampling.sequences import sobol
 from ..scene import ANGLED, DIFFUSE, POINT, REFRACTIVE, SPOT, SUN, TRANSPARENT, bounds
 from ..surfaces.bending import STRAIGHT_ON, bent, scattered
 from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSPARENCY, WIDE, passing_chance
-from ..surfaces.lobes import LOBE
+from ..surfaces.lobes import ALPHA, LOBE, lobe_value
 from ..surfaces.microfacet import SMALLEST_ALPHA
 from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import OUTSIDE, evaluate_along, is_lens, passed_glass
 from ..threads import Progress, run_chunks
 from ..transport import Transport
+from .wide_lobes import is_mirror, is_wide
 
 CHUNK = 4096  # particles a chunk
 GLANCE, PILOT = 1 << 14, 1 << 16  # particles that tell whether any meet a lens or a lobe, and where
@@ -79,6 +81,7 @@ class Photons(NamedTuple):
     position: (P, 3) float32 (m).  normal: (P, 3) float32, geometric, on the lit side.  direction: (P, 3) float32, unit, in which they flew.
     entry: (P, 3) float32, where they first met glass, or the lobe (m).  flux: (P, 3) float32, W.  side: (P,) float32, 1 where
     the normal is their triangle's own, else -1.  group: (P,) int32, their lamps' light groups.
+    mirrored: (P,) uint8, whether what reflected them `is_mirror` to wide lobes.
     """
 
     position: np.ndarray
@@ -88,11 +91,14 @@ class Photons(NamedTuple):
     flux: np.ndarray
     side: np.ndarray
     group: np.ndarray
+    mirrored: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> Photons:
         """Room for n photons, not set."""
-        return Photons(*(np.empty((n, 3), np.float32) for _ in range(5)), np.empty(n, np.float32), np.empty(n, np.int32))
+        return Photons(
+            *(np.empty((n, 3), np.float32) for _ in range(5)), np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.uint8)
+        )
 
     def take(self, index) -> Photons:
         """The photons at `index` (anything that indexes an array)."""
@@ -130,7 +136,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
             continue
         hides = emitters.shadow_kinds[e]
         kinds = DIFFUSE | hides
-        thrown = False
+        thrown = mirrored = False
         ax, ay, az = dx, dy, dz  # the straight way
         x = y = z = qx = qy = qz = flown = _0
         glasses = 0
@@ -207,6 +213,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
                     qx, qy, qz = ox, oy, oz
                     thrown, entered, kinds = True, OUTSIDE, DIFFUSE
+                    mirrored = is_mirror(scene.materials, scene.material[triangle])
                     continue
                 if not (bends or thrown):
                     break
@@ -216,7 +223,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 photons.direction[n, 0], photons.direction[n, 1], photons.direction[n, 2] = dx, dy, dz
                 photons.entry[n, 0], photons.entry[n, 1], photons.entry[n, 2] = qx, qy, qz
                 photons.flux[n, 0], photons.flux[n, 1], photons.flux[n, 2] = r, g, b
-                photons.side[n], photons.group[n] = side, emitters.light_group[e]
+                photons.side[n], photons.group[n], photons.mirrored[n] = side, emitters.light_group[e], mirrored
                 n += 1
                 break
             # What hides from diffuse rays sends none of them to the lamp.
@@ -482,15 +489,19 @@ def keep_light(scene: Transport, caustics: Caustics, seed: int, threads: int = 0
 
 
 @kernel
-def _light(scene, caustics, points, lit, begin, end, seed, tested, every, out):
+def _light(scene, caustics, points, lit, begin, end, seed, tested, every, near, size, out, shown):
     """Adds the irradiance by photons, each evenly bright but for Epanechnikov's kernel of its radius, to the rows lit[begin..end-1] of `out`.
 
     tested: whether it is seen from there where they come from, as one of them by chance tells.  every: by so-manyth of those around alone.
+    shown: (N, 3 G) W/m^2/sr, what wide lobes reflect of it is added there, but for what mirrors throw, or what comes from nearer than `near` (m)
+    or than their blur of a cell of the cache, of a `size` (m): their own rays find that.  No rows for none.
     """
     slots = len(caustics.start) - 1
     photons = caustics.photons
     packet = new_packet()
-    found = np.zeros((WIDTH, out.shape[1]), np.float32)
+    found, seen = np.zeros((WIDTH, out.shape[1]), np.float32), np.zeros((WIDTH, out.shape[1]), np.float32)
+    lobe = np.zeros(LOBE, np.float32)
+    wide, least = False, _0
     owner = np.empty(WIDTH, np.int64)
     n = np.int64(0)
     rays = 0
@@ -499,6 +510,10 @@ def _light(scene, caustics, points, lit, begin, end, seed, tested, every, out):
         x, y, z = points.position[i, 0], points.position[i, 1], points.position[i, 2]
         nx, ny, nz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
         total, left, picked = 0.0, np.float64(uniform(seed, i, 0, 0)), -1
+        if len(shown) > 0:
+            set_point_lobe(points, i, lobe)
+            wide = is_wide(lobe)
+            least = max(near, size / lobe[ALPHA]) if wide else _0
         for level in range(len(caustics.edge)):
             box = caustics.box[level]
             if x < box[0, 0] or y < box[0, 1] or z < box[0, 2] or x > box[1, 0] or y > box[1, 1] or z > box[1, 2]:
@@ -537,6 +552,13 @@ def _light(scene, caustics, points, lit, begin, end, seed, tested, every, out):
                     found[n, c] += r
                     found[n, c + 1] += g
                     found[n, c + 2] += b
+                    if wide and not photons.mirrored[p]:
+                        ex, ey, ez = photons.entry[p, 0] - x, photons.entry[p, 1] - y, photons.entry[p, 2] - z
+                        if ex * ex + ey * ey + ez * ez > least * least:
+                            lr, lg, lb, _ = lobe_value(lobe, -dx, -dy, -dz)
+                            seen[n, c] += lr * r / cos_s
+                            seen[n, c + 1] += lg * g / cos_s
+                            seen[n, c + 2] += lb * b / cos_s
                     # One of them by its light, with one random number for all.
                     light = np.float64(r + g + b)
                     total += light
@@ -556,16 +578,17 @@ def _light(scene, caustics, points, lit, begin, end, seed, tested, every, out):
             rays += 1
         n += 1
         if n == WIDTH:
-            _arrive(scene, packet, owner, n, tested, found, out)
+            _arrive(scene, packet, owner, n, tested, found, seen, out, shown)
             n = np.int64(0)
     if n > 0:
-        _arrive(scene, packet, owner, n, tested, found, out)
+        _arrive(scene, packet, owner, n, tested, found, seen, out, shown)
     return rays
 
 
 @leaf
-def _arrive(scene, packet, owner, lanes, tested, found, out):
-    """Adds what the `lanes` points of a packet have found (16, 3 G) to their rows of `out`, where their rays arrive; forgets it."""
+def _arrive(scene, packet, owner, lanes, tested, found, seen, out, shown):
+    """Adds what the `lanes` points of a packet have found, and their lobes reflect (16, 3 G), to their rows of `out` and `shown`, where their rays
+    arrive; forgets it."""
     if tested:
         occluded_packet(scene.rays, OPAQUE, packet, lanes)
     for lane in range(lanes):
@@ -573,16 +596,28 @@ def _arrive(scene, packet, owner, lanes, tested, found, out):
         for c in range(out.shape[1]):
             if arrives:
                 out[owner[lane], c] += found[lane, c]
-            found[lane, c] = _0
+                if len(shown) > 0:
+                    shown[owner[lane], c] += seen[lane, c]
+            found[lane, c] = seen[lane, c] = _0
 
 
-def add_caustics(scene: Transport, caustics: Caustics, points, seed: int, threads: int, out: np.ndarray) -> int:
-    """Add the irradiance by photons to `out`, (N, 3 G) W/m^2, at N points (with the arrays position, error, ns and ng); the rays traced."""
+def add_caustics(
+    scene: Transport, caustics: Caustics, points, seed: int, threads: int, out: np.ndarray, shown: np.ndarray | None = None,
+    near: float = 0.0, size: float = 0.0,
+) -> int:  # fmt: skip
+    """Add the irradiance by photons to `out`, (N, 3 G) W/m^2, at N points (with the arrays position, error, ns and ng); the rays traced.
+
+    shown: (N, 3 G) W/m^2/sr, what wide lobes reflect of it is added, None where that is not wanted.  near, size: as of `_light`.
+    """
+    shown = out[:0] if shown is None else shown
     low, high = caustics.box[:, 0].min(axis=0), caustics.box[:, 1].max(axis=0)
     lit = np.flatnonzero(((points.position >= low) & (points.position <= high)).all(axis=1))
     disks, receivers = Reference(caustics), Reference(points)
 
     def work(begin, end):
-        return _light(scene, disks, receivers, lit, begin, end, np.uint32(seed), caustics.tested, caustics.every, out)
+        return _light(
+            scene, disks, receivers, lit, begin, end, np.uint32(seed), caustics.tested, caustics.every, np.float32(near), np.float32(size),
+            out, shown,
+        )  # fmt: skip
 
     return sum(run_chunks(work, len(lit), CHUNK, threads))

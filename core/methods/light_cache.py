@@ -116,7 +116,7 @@ class LightCache(NamedTuple):
     sent: (C, 3 G) float32 W/m^2, the row that gather rays look up again, the mean of what either half of the paths tells of it.
     lit: (C, 3 G) float32 W/m^2, the part of `sent` that virtual lights carry to where their geometry term is not clamped.  How bright a
         cell is, on which that hangs, is told for each half by the other one: the product has no bias by their noise.
-    dull: (C, 3 G) float32, of `sent`, what diffuse light gets: all of it, or where photons bring what lobes reflect of the lamps (`caustics`) the rest.
+    dull: (C, 3 G) float32, of `sent`, what diffuse light and wide lobes get: all of it, or where photons bring what lobes reflect of the lamps (`caustics`) the rest.
     share: (C,) float32, how much of a virtual light's flux that is.
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
     later: float32, by which `share` is less for light that has left several surfaces.
@@ -327,12 +327,13 @@ def _links(probes, cache, begin, end, seed, link_cell):
 
 def _solve(
     probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, root: np.ndarray, level_of: np.ndarray,
-    near: np.float32, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, beneath: np.ndarray, through: np.ndarray, threads: int, go_on: Callable[[float], None],
+    weight: np.ndarray, looked: np.ndarray, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, beneath: np.ndarray, through: np.ndarray, threads: int, go_on: Callable[[float], None],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
 
     halves: (2, C, 3 G), its `row` again, as half of the paths tell it;  shine: (2, C, 3 G), the part of that which came from lamps
     and was reflected by a glossy lobe.  through: (2, C, 3 G), the part that glossy links have brought.  first_of: (2, C, 3 G), all that came straight from lamps.  beneath: (2, C, 3 G), of it what came from below facets.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
+    weight: (N,) float32 of the probes.  looked: (N,) bool, those where light is looked up.
 
     Returns (2, C) float32: the weight of the probes of each cell, of either half; `order` and `unit` of `Links`.
     """
@@ -340,7 +341,7 @@ def _solve(
     order = np.argsort(-level_of.astype(np.int64), kind="stable")
     knows = np.flatnonzero(probes.valid > 0)
     half = _half(knows)
-    weight = _weights(probes, near)[knows]
+    weight = weight[knows]
     linked = weight * (link_cell[knows] != -1)
     places = np.ascontiguousarray(cells[knows].T)
     parts = [(np.ascontiguousarray(places[:, half == h]), np.flatnonzero(half == h)) for h in range(2)]
@@ -387,7 +388,7 @@ def _solve(
     glossy = probes.link[knows[sending]] == GLOSSY_LINK
     places = np.ascontiguousarray(places[:, sending])
     parts = [(np.ascontiguousarray(places[:, half[sending] == h]), sends[sending & (half == h)]) for h in range(2)]
-    looked = knows[(knows % DEPTH == 0) & (probes.distance[knows] > near) & (link_cell[knows] != -1) & (seen_cell[knows] >= 0)]
+    looked = knows[looked[knows] & (link_cell[knows] != -1) & (seen_cell[knows] >= 0)]
     sent = probes.direct[looked].sum(axis=1)
     sent_soonest = sent if behind is None else sent - probes.glass[looked].sum(axis=1)
     looked_up = seen_cell[looked], probes.carry[looked], link_cell[looked], probes.link[looked] == GLOSSY_LINK
@@ -667,13 +668,14 @@ def build_light_cache(
     later: float = 1.0,
     relied: float = 0.0,
     by_view: np.ndarray | None = None,
+    mirrors: np.ndarray | None = None,
 ) -> tuple[LightCache, Links]:
     """Cells that hold what the probes know of light that left 1 to `bounces` surfaces, and how they hang together.
 
     gathered: how many of them the light has left that gather rays look up, None for `bounces`.
     later: what virtual lights carry of light that has left several surfaces, as a part of what they carry of other light.
     relied: the part of what would be left to the cache that virtual lights carry all the same, as far as their geometry term is not clamped.
-    by_view: (M, 2, `VIEWS`) of the materials, None where all views are alike.
+    by_view: (M, 2, `VIEWS`) of the materials, None where all views are alike.  mirrors: (M,) bool, those whose lobes gather rays follow; None for none.
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -717,9 +719,11 @@ def build_light_cache(
     seen_cell = look_up(cache, probes.position, probes.normal, probes.side, seed + 3, threads)
     go_on(0.4)
     row = (bounces if gathered is None else gathered) - 1
+    weight = _weights(probes, NEAR * size)
+    looked = (probes.distance > NEAR * size) & _met(probes, mirrors)
     number_of, order, unit = _solve(
-        probes, cells, link_cell, seen_cell, parent, root, level_of, np.float32(NEAR * size), radiosity, row, halves, shine, first_of,
-        beneath, through, threads, go_on,
+        probes, cells, link_cell, seen_cell, parent, root, level_of, weight, looked, radiosity, row, halves, shine, first_of, beneath,
+        through, threads, go_on,
     )  # fmt: skip
     tau = np.float32(max(seen_light(cache, probes, seed + 1), 1e-30))
     half, bright = _half(np.arange(len(probes.valid))), np.zeros((2, count), np.float32)
@@ -733,7 +737,7 @@ def build_light_cache(
     sent, lit, thrown, share = divided(
         halves, shine, first_of, beneath, through, counts, bright, number, tau, parent, np.float32(later), np.float32(relied)
     )
-    links = Links(cells, link_cell, _weights(probes, NEAR * size), thrown, parent, order, unit)
+    links = Links(cells, link_cell, weight, thrown, parent, order, unit)
     first = np.maximum(0, np.einsum("hc,hck->ck", counts, first_of) - thrown)
     return cache._replace(sent=sent, lit=lit, dull=sent, share=share, tau=tau, later=np.float32(later), root=root, first=first), links
 
@@ -751,6 +755,14 @@ def _weights(probes: Probes, near: np.float32) -> np.ndarray:
     """Of the probes in their cells, (N,) float32: as far as no visible point has met them from afar, they tell of other places than those looked up."""
     first = np.arange(len(probes.valid)) % DEPTH == 0
     return (probes.valid > 0) * np.where(first & (probes.distance > near), _1, LATER)
+
+
+def _met(probes: Probes, mirrors: np.ndarray | None) -> np.ndarray:
+    """Which probes (N,) a visible point has met itself, or by way of one of the materials `mirrors` (M,)."""
+    met = np.arange(len(probes.valid)) % DEPTH == 0
+    if mirrors is not None:
+        met[np.flatnonzero(met & mirrors[probes.side >> 1] & (probes.link == GLOSSY_LINK)) + 1] = True
+    return met
 
 
 def _glossy_turns(probes: Probes) -> int:

@@ -232,6 +232,8 @@ def path_light(
         if kinds != GLOSSY:
             entered = OUTSIDE
         wr, wg, wb = wr * tr, wg * tg, wb * tb
+        if vertex == 0 and kinds != DIFFUSE:  # lights carry none of what lobes reflect of other surfaces, nor of what comes through
+            wr, wg, wb = whole * wr, whole * wg, whole * wb
         if vertex > 0:  # russian roulette by what the path still carries
             go_on = min(np.float32(0.95), max(wr, wg, wb))
             if uniform(seed, path, at, 5) >= go_on:

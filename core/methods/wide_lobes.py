@@ -5,7 +5,8 @@ its lobe, too: of the light that a surface y sends to a point x from direction d
 (`importance_sampling`), but no more than `bound` of it, for their shadow rays are not drawn where the lobe is bright.  The rest is left to
 gather rays and rays from the lobe, by the balance heuristic (Veach & Guibas 1995).
 
-Surfaces nearer than the lobe's blur of a cell of the cache, and mirrors, whose light a cell does not know, are left to the rays from the lobe alone.
+Surfaces nearer than the lobe's blur of a cell of the cache, and mirrors (`surfaces.brushed`), whose light a cell does not know, are left to the rays
+from the lobe alone.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def sees_alike(visibility: np.ndarray) -> bool:
 
 @inlined
 def is_mirror(materials, material):
-    """Whether a material shows more than a cell of the cache could tell (`surfaces.brushed`): its light is left to the lobe's own rays."""
+    """Whether gather rays and reflections that meet a material follow its lobe, as that of a mirror."""
     return materials.flags[material] & BRUSHED > 0
 
 
@@ -98,10 +99,11 @@ def drawn_share(lobe, albedo, density, cosine):
 
 @inlined
 def known_light(cache, cell, c, share, carried, more):
-    """What a cell of a `light_cache.LightCache` sends to a lobe in channel c (W/m^2), less the part `carried` of what virtual lights carry of it.
+    """What a cell of a `light_cache.LightCache` sends to a lobe in channel c (W/m^2), less the part `carried` of what virtual lights carry of it,
+    and less what photons bring.
 
     share: of it that may have left one surface more than what gather rays look up, `drawn_share`.  more: `more_by_view` of the cell.
     """
     row = len(cache.radiosity) - 1
-    light = cache.sent[cell, c] + share * (cache.radiosity[row, cell, c] - cache.radiosity[row - 1, cell, c]) - carried * cache.lit[cell, c]
+    light = cache.dull[cell, c] + share * (cache.radiosity[row, cell, c] - cache.radiosity[row - 1, cell, c]) - carried * cache.lit[cell, c]
     return light + more * (_1 - carried * cache.share[cell]) * cache.first[cell, c]

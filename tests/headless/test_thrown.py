@@ -12,20 +12,21 @@ from lumigate.addon.extract import extract_scene
 from lumigate.core.pipeline import render
 from lumigate.core.settings import RenderSettings
 from lumigate.headless.cache import cached_halves
+from lumigate.headless.reference import ReferenceSettings, render_layers
 
 from .test_direct_light import lamp, look, material, quad
 
-pytestmark = pytest.mark.slow
 SIZE = (48, 27)
 SPP = 2048
 SEEDS = 6
+PARTS = {"left": np.s_[:9, :16], "far": np.s_[:9, 16:32], "right": np.s_[:9, 32:]}  # of the picture, floor apart
 
 
-def room():
-    """A long room with a semi-gloss floor; sun comes in by the window behind the camera."""
+def room(walls=None):
+    """A long room with a semi-gloss floor; sun comes in by the window behind the camera.  walls: their inputs, None for dull ones."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    wall = material("Wall", Base_Color=(0.7, 0.7, 0.7, 1), Specular_IOR_Level=0.0)
+    wall = material("Wall", Base_Color=(0.7, 0.7, 0.7, 1), **(walls or {"Specular_IOR_Level": 0.0}))
     floor = material("Floor", Base_Color=(0.5, 0.5, 0.5, 1), Roughness=0.3)
     quad(scene, [(-2.5, 0, 0), (2.5, 0, 0), (2.5, 8, 0), (-2.5, 8, 0)], floor)
     quad(scene, [(-2.5, 0, 3), (-2.5, 8, 3), (2.5, 8, 3), (2.5, 0, 3)], wall)
@@ -39,6 +40,7 @@ def room():
     return scene
 
 
+@pytest.mark.slow
 def test_floor_shows_what_it_throws_on_the_walls():
     scene = room()
     identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest()}
@@ -52,3 +54,20 @@ def test_floor_shows_what_it_throws_on_the_walls():
         # Without `thrown` -3.4 and -28 %.
         assert abs(np.mean(found)) < bound + 2 * noise, (name, np.mean(found), noise)
         assert noise < bound, (name, noise)
+
+
+def test_wide_lobes_show_what_the_floor_throws_at_them():
+    """Spread as by a dull floor, of one bounce the far wall showed a quarter of it, the others a sixth too much."""
+    scene = room({"Roughness": 0.8})
+    arrays = extract_scene(scene, size=SIZE)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=1024, size=SIZE, bounces=1))
+    expected = reference["GlossyIndirect"].mean(axis=-1)
+    ours = [
+        render(arrays, RenderSettings(method="importance-sampling", bounces=1, seed=seed, denoise=False)).layers for seed in range(SEEDS)
+    ]
+    found = np.stack([layers["GlossyIndirect"].mean(axis=-1) for layers in ours])
+    for name, part in PARTS.items():
+        ratio = found[:, *part].mean(axis=(1, 2)) / expected[part].mean()
+        noise = ratio.std(ddof=1) / math.sqrt(SEEDS)
+        assert noise < 0.03, (name, noise)
+        assert ratio.mean() == pytest.approx(1, abs=0.07 + 2 * noise), name
