@@ -8,14 +8,13 @@ import numpy as np
 
 from .references import Reference
 from .scene import TRANSLUCENT, Geometry, MaterialTables
-from .surfaces.brushed import with_brushed
 
 
 class Transport(NamedTuple):
     """What a kernel needs to trace, evaluate surfaces and sample lamps.
 
     rays: `RayScene.tables`.  vertices, triangles, corner_normals, attributes, material, object,
-    object_visibility: as in `Geometry`.  materials: `MaterialTables`, with `BRUSHED` set.  emitters: `lamps.Emitters`.
+    object_visibility: as in `Geometry`.  materials: `MaterialTables`.  emitters: `lamps.Emitters`.
     """
 
     rays: tuple
@@ -43,7 +42,7 @@ def transport(geometry: Geometry, materials: MaterialTables, rays, emitters) -> 
             g.material,
             g.object,
             g.object_visibility.astype(np.uint32),
-            with_brushed(materials, g.material, g.attributes),
+            materials,
             emitters,
         )
     )
