@@ -34,6 +34,7 @@ from .reuse import Sequence
 from .reuse.sequence import ray_scene
 from .scene import AREA, POINT, REFRACTIVE, SPOT, Scene, Skipped
 from .settings import RenderSettings
+from .surfaces.brushed import with_brushed
 from .surfaces.program import with_viewer
 from .threads import Cancelled
 from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, reachable_vpls, rooms_seen, without_emitters
@@ -143,7 +144,8 @@ def prepared(run: Run, scene: Scene, settings: RenderSettings, threads: int, top
             run.foreseen = savings(scene, emitters, settings.direct_samples)
             run.warnings += [*scene.warnings, *warnings]
             run.black = coincident(scene)
-            tables = without_reflection(transport(scene.geometry, with_viewer(scene), rays.tables, emitters), run.black)
+            materials = with_brushed(with_viewer(scene), scene.geometry)
+            tables = without_reflection(transport(scene.geometry, materials, rays.tables, emitters), run.black)
         if settings.method == "visibility-gates":
             with run.stage("topology"):
                 run.topology = topologies.of(scene, settings.voxels, threads)

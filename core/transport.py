@@ -8,7 +8,6 @@ import numpy as np
 
 from .references import Reference
 from .scene import TRANSLUCENT, Geometry, MaterialTables
-from .surfaces.brushed import with_brushed
 
 
 class Transport(NamedTuple):
@@ -43,7 +42,7 @@ def transport(geometry: Geometry, materials: MaterialTables, rays, emitters) -> 
             g.material,
             g.object,
             g.object_visibility.astype(np.uint32),
-            with_brushed(materials, geometry),
+            materials,
             emitters,
         )
     )
