@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
+
+import bpy
 
 from ...core.surfaces import outlined, textures
 from ...core.surfaces import program as ops
@@ -14,9 +16,6 @@ from .bake import Baker
 from .builder import ONE, ZERO, Constant, Program, Value, scalar
 from .requests import BAKED, Shot
 
-if TYPE_CHECKING:
-    import bpy
-
 # What a bake cannot know, by node and output ('' is all of them).
 _BLIND = {
     ("ShaderNodeTexCoord", "Reflection"): "as seen from right above the surface",
@@ -25,6 +24,8 @@ _BLIND = {
     ("ShaderNodeParticleInfo", ""): "without particles, all of which look alike",
     ("ShaderNodePointInfo", ""): "without points, all of which look alike",
 }
+# Blender 5 hands Cycles trees without groups, reroutes and muted nodes: these convert nothing, and what a group's socket says is a number for all.
+_INLINED = bpy.app.version >= (5, 0)
 _EEVEES = frozenset({"ShaderNodeEeveeSpecular", "ShaderNodeShaderToRGB"})
 _WHOLE = ("INT", "BOOLEAN")
 _SCALARS = ("VALUE", *_WHOLE)
@@ -87,8 +88,8 @@ class Origin(NamedTuple):
 
     @property
     def is_link(self) -> bool:
-        """Whether it is a link to Cycles, which hands what nothing feeds on to the input itself, unless it is converted on the way."""
-        return self.is_computed or any(a != b for a, b in pairwise((self.socket.type, *self.passed)))
+        """Whether it is a link to Cycles, which up to Blender 4.5 hands what nothing feeds on to the input itself, unless it is converted on the way."""
+        return _INLINED or self.is_computed or any(a != b for a, b in pairwise((self.socket.type, *self.passed)))
 
     def default(self) -> Value:
         """The number where no node computes it: groups have their own, all else is zero."""
@@ -134,10 +135,12 @@ class Scope:
             return inside._passing(inner, output) if inner else Origin(self, output)
         return Origin(self, output)
 
-    def _passing(self, inlet: bpy.types.NodeSocket, outlet: bpy.types.NodeSocket) -> Origin:
+    def _passing(self, inlet: bpy.types.NodeSocket, outlet: bpy.types.NodeSocket) -> Origin | None:
         """What feeds an input that a socket hands on."""
         found = self.source(inlet)
-        return Origin(self, inlet) if found is None else found._replace(passed=(*found.passed, outlet.type))
+        if found is None:
+            return None if _INLINED and (inlet.node.mute or inlet.node.type == "REROUTE") else Origin(self, inlet)
+        return found if _INLINED else found._replace(passed=(*found.passed, outlet.type))
 
     def read(self, socket: bpy.types.NodeSocket) -> Value:
         """Value of an input socket, converted to the socket's type."""

@@ -186,8 +186,10 @@ def test_a_group_s_normal_that_nothing_feeds_is_the_surface_s(grid, node):
         tree.links.new(node(tree, "ShaderNodeGroup", node_tree=group).outputs[0], end.inputs[0])
 
     grid.add("unlinked", build)
-    grid.compare()
-    assert not grid.flags[0] & sc.NORMAL_MAPPED
+    found = grid.compare()["unlinked"]
+    np.testing.assert_allclose(found.passes["Normal"], np.tile((0, 0, 1), (64, 1)), atol=1e-6)
+    if grid.flags[0] & sc.NORMAL_MAPPED:
+        np.testing.assert_allclose(found.normal, found.passes["Normal"], atol=1e-6)
 
 
 def _displaced(node, height, normal=None, space="OBJECT", **inputs):
