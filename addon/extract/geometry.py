@@ -14,8 +14,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import SceneError
-from ...core.scene import CAMERA, CONSTANT, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION, Geometry, Skipped
-from ...core.surfaces.layout import SURFACE, TRANSPARENCY
+from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION, Geometry, Skipped
 from ..materials import CompiledMaterials
 from .attributes import NOT_INSTANCED, Batch, Instancing, Part, fill, lightmap_uv, unit
 from .instances import InstanceAttributes, asked_of_instancers
@@ -340,14 +339,9 @@ def _drop_invalid(geometry: Geometry, world: np.ndarray, broken: np.ndarray) -> 
 
 def _drop_unseen(geometry: Geometry, world: np.ndarray, compiled: CompiledMaterials) -> None:
     """Remove triangles of materials that do nothing to light, as the domain of a volume: fog around a scene would stretch its bounds."""
-    tables = compiled.materials.tables
-    clear = np.zeros(SURFACE, np.float32)
-    clear[TRANSPARENCY : TRANSPARENCY + 3] = 1
-    unseen = ((tables.flags & CONSTANT) > 0) & (tables.constant == clear).all(1)
-    if unseen.any() and len(geometry.material):
-        bad = unseen[geometry.material]
-        if bad.any():
-            _drop(geometry, world, bad)
+    bad = np.isin(geometry.material, compiled.unseen)
+    if bad.any():
+        _drop(geometry, world, bad)
 
 
 def _drop(geometry: Geometry, world: np.ndarray, bad: np.ndarray) -> None:

@@ -55,7 +55,10 @@ def compile_materials(
             names.append(use.name)
         compiled.append(LampProgram(number, falloff))
     tables = _link(programs, names, textures, warnings, ops.OWN_ROWS if known else 1)
-    return CompiledMaterials(scene.Materials(names, tables), requests, warnings, baked_uvs, compiled)
+    clear = np.zeros(SURFACE, np.float32)
+    clear[TRANSPARENCY : TRANSPARENCY + 3] = 1
+    unseen = np.flatnonzero(((tables.flags & scene.CONSTANT) > 0) & (tables.constant == clear).all(1)).tolist()
+    return CompiledMaterials(scene.Materials(names, tables), requests, warnings, baked_uvs, compiled, unseen)
 
 
 def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked_uvs: dict, may_bake: bool, shot: Shot) -> Program:
