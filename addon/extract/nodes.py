@@ -79,5 +79,6 @@ def surface(data: bpy.types.Light | bpy.types.World, fading: Fading | None = Non
     output = tree.get_output_node("CYCLES")
     if output is None:
         return None
-    scope = Scope(Context(data, Program(), TexturePool(), [], _NoBaker(), fading=fading), tree)
+    context = Context(data, Program(), TexturePool(), [], _NoBaker(), fading=fading, is_lamp=isinstance(data, bpy.types.Light))
+    scope = Scope(context, tree)
     return Shader(scope, output).source("Surface")
