@@ -274,6 +274,8 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
 
     _flip(geometry, np.flatnonzero(mirrored[geometry.object]))
     warnings += _drop_invalid(geometry, world, broken)
+    if geometry.lightmap_uv is None:
+        _drop_unseen(geometry, world, compiled)
     origin = _origin(world)
     np.subtract(world, origin, out=geometry.vertices, casting="same_kind")
     _repair_normals(geometry)
@@ -327,18 +329,30 @@ def _drop_invalid(geometry: Geometry, world: np.ndarray, broken: np.ndarray) -> 
         valid = (np.abs(world) < _LIMIT).all(1)
     bad = broken[geometry.object] | ~valid[geometry.triangles].all(1)
     dropped = np.bincount(geometry.object[bad], minlength=len(geometry.object_names))
-    used = np.zeros(len(world), bool)
-    used[geometry.triangles[~bad]] = True
-    world[~used] = world[used][0] if used.any() else 0  # no triangle reads it; it must not stretch the bounds
-    for name in ("triangles", "corner_normals", "material", "object", "lightmap_uv"):
-        if getattr(geometry, name) is not None:
-            setattr(geometry, name, getattr(geometry, name)[~bad])
-    geometry.attributes = np.ascontiguousarray(geometry.attributes[:, ~bad])
+    _drop(geometry, world, bad)
     return [
         f"'{geometry.object_names[i]}': {dropped[i]} triangles dropped, "
         + ("its scale is zero or invalid: apply or reset it" if broken[i] else "they have invalid coordinates (NaN, infinite or huge)")
         for i in np.flatnonzero(dropped)
     ]
+
+
+def _drop_unseen(geometry: Geometry, world: np.ndarray, compiled: CompiledMaterials) -> None:
+    """Remove triangles of materials that do nothing to light, as the domain of a volume: fog around a scene would stretch its bounds."""
+    bad = np.isin(geometry.material, compiled.unseen)
+    if bad.any():
+        _drop(geometry, world, bad)
+
+
+def _drop(geometry: Geometry, world: np.ndarray, bad: np.ndarray) -> None:
+    """Remove triangles, and what their vertices alone say of the bounds."""
+    used = np.zeros(len(world), bool)
+    used[geometry.triangles[~bad]] = True
+    world[~used] = world[used][0] if used.any() else 0
+    for name in ("triangles", "corner_normals", "material", "object", "lightmap_uv"):
+        if getattr(geometry, name) is not None:
+            setattr(geometry, name, getattr(geometry, name)[~bad])
+    geometry.attributes = np.ascontiguousarray(geometry.attributes[:, ~bad])
 
 
 def _repair_normals(geometry: Geometry) -> None:

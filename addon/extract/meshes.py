@@ -17,6 +17,7 @@ READABLE = {
     "INT": ("value", 1),
     "INT8": ("value", 1),
     "BOOLEAN": ("value", 1),
+    "QUATERNION": ("value", 4),
     "FLOAT2": ("vector", 2),
     "FLOAT_VECTOR": ("vector", 3),
     "FLOAT_COLOR": ("color", 4),
@@ -122,8 +123,12 @@ def copy_mesh(mesh: bpy.types.Mesh, wanted: Collection[str], deformed: bool) -> 
     index = {"POINT": corners, "CORNER": loops, "FACE": np.broadcast_to(polygon[:, None], corners.shape)}
     for name in {copy.uv, copy.color, *wanted} - {""}:
         attribute = mesh.attributes.get(name)
-        if attribute is not None and attribute.data_type in READABLE and attribute.domain in index:
+        if attribute is None or attribute.data_type not in READABLE:
+            continue
+        if attribute.domain in index:
             copy.layers[name] = layer(attribute, index[attribute.domain])
+        elif attribute.domain == "EDGE":
+            copy.layers[name] = _mean_of_edges(mesh, attribute)[corners]
     _drop_loose(copy)
     return copy
 
@@ -173,6 +178,18 @@ def layer(attribute: bpy.types.Attribute, index: np.ndarray) -> np.ndarray:
     wide[..., 3] = 1
     wide[..., : 3 if components == 1 else components] = values[index]
     return wide
+
+
+def _mean_of_edges(mesh: bpy.types.Mesh, attribute: bpy.types.Attribute) -> np.ndarray:
+    """(vertices, 4) float32: at each vertex the mean of its edges' values, whole for whole numbers, and whether one is true, as Blender has them."""
+    ends = read(mesh.edges, "vertices", (len(mesh.edges), 2), np.int32).ravel()
+    values = layer(attribute, np.arange(len(mesh.edges))).repeat(2, axis=0)
+    count = np.bincount(ends, minlength=len(mesh.vertices))
+    sums = [np.bincount(ends, column, len(mesh.vertices)) for column in values.T]
+    mean = (np.stack(sums, 1) / np.maximum(count, 1)[:, None]).astype(np.float32)
+    if attribute.data_type == "BOOLEAN":
+        return (mean > 0).astype(np.float32)
+    return np.floor(mean + np.float32(0.5)) if attribute.data_type in ("INT", "INT8") else mean
 
 
 def _drop_loose(copy: MeshCopy) -> None:

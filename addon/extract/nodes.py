@@ -30,7 +30,7 @@ class Shader:
     def source(self, name: str) -> Shader | None:
         """The node that feeds an input, None where nothing does."""
         found = self.scope.source(self.node.inputs[name])
-        return Shader(found[0], found[1].node) if found is not None and found[1].is_output else None
+        return Shader(found.scope, found.socket.node) if found is not None and found.is_computed else None
 
     def constant(self, name: str) -> np.ndarray | None:
         """(3,) float64 value of an input (a number three times), None where it is not known to be constant."""
@@ -79,5 +79,6 @@ def surface(data: bpy.types.Light | bpy.types.World, fading: Fading | None = Non
     output = tree.get_output_node("CYCLES")
     if output is None:
         return None
-    scope = Scope(Context(data, Program(), TexturePool(), [], _NoBaker(), fading=fading), tree)
+    context = Context(data, Program(), TexturePool(), [], _NoBaker(), fading=fading, is_lamp=isinstance(data, bpy.types.Light))
+    scope = Scope(context, tree)
     return Shader(scope, output).source("Surface")

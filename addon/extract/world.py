@@ -84,6 +84,9 @@ def extract_world(
         told = {end.name for node in all_nodes(tree) if node.type == "LIGHT_PATH" for end in node.outputs if end.is_linked}
         if told - {"Is Camera Ray"}:
             found.warnings.append(f"world '{world.name}' depends on the light path: all rays but the camera's see what diffuse rays see")
+        placed = {end.name for node in all_nodes(tree) if node.type == "TEX_COORD" for end in node.outputs if end.is_linked}
+        if placed & {"Window", "Camera"}:
+            found.warnings.append(f"world '{world.name}' is laid out over the camera's picture, and is shown as another camera sees it")
         rendered = _rendered(scene, world, tree, cycles, DIFFUSE_RAY)
         if rendered is None:
             found.warnings.append(

@@ -55,7 +55,10 @@ def compile_materials(
             names.append(use.name)
         compiled.append(LampProgram(number, falloff))
     tables = _link(programs, names, textures, warnings, ops.OWN_ROWS if known else 1)
-    return CompiledMaterials(scene.Materials(names, tables), requests, warnings, baked_uvs, compiled)
+    clear = np.zeros(SURFACE, np.float32)
+    clear[TRANSPARENCY : TRANSPARENCY + 3] = 1
+    unseen = np.flatnonzero(((tables.flags & scene.CONSTANT) > 0) & (tables.constant == clear).all(1)).tolist()
+    return CompiledMaterials(scene.Materials(names, tables), requests, warnings, baked_uvs, compiled, unseen)
 
 
 def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked_uvs: dict, may_bake: bool, shot: Shot) -> Program:
@@ -73,14 +76,17 @@ def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked
     try:
         scope = Scope(context, material.node_tree)
         context.normal = displaced_normal(scope, output)
+        surface, volume = (scope.source(output.inputs[name]) for name in ("Surface", "Volume"))
+        if volume is not None and volume.is_computed:
+            context.warn("its volume is left out")
+            if surface is None or not surface.is_computed:  # it has no surface, as fog has none
+                program.emit(ops.TRANSPARENT_CLOSURE, ONE, ZERO, ZERO, ONE)
         scope.shade(output.inputs["Surface"], ONE)
     except registry.Unsupported as reason:
         context.warn(f"{reason}; the material is shown in its viewport colour")
         return _viewport_color(material)
     if any(r.kind == BAKED for r in program.requests):
         baked_uvs[material.name_full] = baker.uvs()
-    if output.inputs["Volume"].is_linked:
-        context.warn("its volume is left out")
     return program
 
 

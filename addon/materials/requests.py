@@ -113,6 +113,7 @@ class CompiledMaterials:
     warnings: one line for each thing that is approximated, left out or baked.
     baked_uvs: see BAKED; per bake and object name, in the order of the evaluated mesh's `loop_triangles`.
     lamps: of each `LampUse`.
+    unseen: numbers of the materials that do nothing to light.
     """
 
     materials: Materials
@@ -120,6 +121,7 @@ class CompiledMaterials:
     warnings: list[str] = field(default_factory=list)
     baked_uvs: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
     lamps: list[LampProgram] = field(default_factory=list)
+    unseen: list[int] = field(default_factory=list)
 
     @property
     def slots(self) -> int:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import NamedTuple
+
+import bpy
 
 from ...core.surfaces import outlined, textures
 from ...core.surfaces import program as ops
@@ -13,9 +16,6 @@ from .bake import Baker
 from .builder import ONE, ZERO, Constant, Program, Value, scalar
 from .requests import BAKED, Shot
 
-if TYPE_CHECKING:
-    import bpy
-
 # What a bake cannot know, by node and output ('' is all of them).
 _BLIND = {
     ("ShaderNodeTexCoord", "Reflection"): "as seen from right above the surface",
@@ -24,7 +24,11 @@ _BLIND = {
     ("ShaderNodeParticleInfo", ""): "without particles, all of which look alike",
     ("ShaderNodePointInfo", ""): "without points, all of which look alike",
 }
-_SCALARS = ("VALUE", "INT", "BOOLEAN")
+# Blender 5 hands Cycles trees without groups, reroutes and muted nodes: these convert nothing, and what a group's socket says is a number for all.
+_INLINED = bpy.app.version >= (5, 0)
+_EEVEES = frozenset({"ShaderNodeEeveeSpecular", "ShaderNodeShaderToRGB"})
+_WHOLE = ("INT", "BOOLEAN")
+_SCALARS = ("VALUE", *_WHOLE)
 
 
 @dataclass
@@ -67,6 +71,32 @@ class Context:
             self.warnings.append(line)
 
 
+class Origin(NamedTuple):
+    """What feeds an input: a node's output socket; else the first socket on the way to it that nothing feeds, which is all there is to read.
+
+    passed: types of the sockets between the two, of reroutes, muted nodes and groups, which convert what passes them.
+    """
+
+    scope: Scope
+    socket: bpy.types.NodeSocket
+    passed: tuple[str, ...] = ()
+
+    @property
+    def is_computed(self) -> bool:
+        """Whether a node computes it; what stays is a number."""
+        return self.socket.is_output and (self.socket.node.type != "GROUP" and not self.socket.node.mute)
+
+    @property
+    def is_link(self) -> bool:
+        """Whether it is a link to Cycles, which up to Blender 4.5 hands what nothing feeds on to the input itself, unless it is converted on the way."""
+        return _INLINED or self.is_computed or any(a != b for a, b in pairwise((self.socket.type, *self.passed)))
+
+    def default(self) -> Value:
+        """The number where no node computes it: groups have their own, all else is zero."""
+        node = self.socket.node
+        return ZERO if self.socket.is_output or node.mute or node.type == "REROUTE" else default(self.socket)
+
+
 @dataclass(frozen=True)
 class Scope:
     """A node tree, and where it is used: the group node and its scope, None for the material's own tree."""
@@ -81,46 +111,46 @@ class Scope:
         """Names of the group nodes from the material's tree to this one."""
         return () if self.parent is None else (*self.parent.path, self.group.name)
 
-    def source(self, socket: bpy.types.NodeSocket) -> tuple[Scope, bpy.types.NodeSocket] | None:
-        """The output socket that feeds an input, past reroutes, muted nodes and group borders; None if unlinked.
-
-        An unlinked input of a group stands for itself: then the returned socket is an input.
-        """
+    def source(self, socket: bpy.types.NodeSocket) -> Origin | None:
+        """What feeds an input, past reroutes, muted nodes and group borders (`add_nodes` of Cycles' blender/shader.cpp); None if unlinked."""
         link = next((k for k in socket.links if k.is_valid and not k.is_muted), None)
         if link is None:
             return None
         node, output = link.from_node, link.from_socket
+        if node.bl_idname in _EEVEES:
+            self.context.warn(f"node '{node.name}': EEVEE alone knows it: nothing comes from it, as in Cycles")
+            return None
         if node.type == "REROUTE":
-            return self.source(node.inputs[0])
+            return self._passing(node.inputs[0], output)
         if node.mute:
-            inner = next((k.from_socket for k in node.internal_links if k.to_socket == output), None)
-            if inner is None:
-                return None
-            return self.source(inner) or (self, inner)
+            inlet = next((k.from_socket for k in node.internal_links if k.to_socket == output), None)
+            return inlet and self._passing(inlet, output)
         if node.type == "GROUP_INPUT":
-            if self.parent is None:
-                return None
-            outer = next((s for s in self.group.inputs if s.identifier == output.identifier), None)
-            if outer is None:
-                return None
-            return self.parent.source(outer) or (self.parent, outer)
+            outer = self.parent and next((s for s in self.group.inputs if s.identifier == output.identifier), None)
+            return self.parent._passing(outer, outer) if outer else None
         if node.type == "GROUP" and node.node_tree is not None:
             inside = Scope(self.context, node.node_tree, self, node)
             end = next((n for n in node.node_tree.nodes if n.type == "GROUP_OUTPUT" and n.is_active_output), None)
             inner = end and next((s for s in end.inputs if s.identifier == output.identifier), None)
-            if inner is None:
-                return None
-            return inside.source(inner) or (inside, inner)
-        return self, output
+            return inside._passing(inner, output) if inner else Origin(self, output)
+        return Origin(self, output)
+
+    def _passing(self, inlet: bpy.types.NodeSocket, outlet: bpy.types.NodeSocket) -> Origin | None:
+        """What feeds an input that a socket hands on."""
+        found = self.source(inlet)
+        if found is None:
+            return None if _INLINED and (inlet.node.mute or inlet.node.type == "REROUTE") else Origin(self, inlet)
+        return found if _INLINED else found._replace(passed=(*found.passed, outlet.type))
 
     def read(self, socket: bpy.types.NodeSocket) -> Value:
         """Value of an input socket, converted to the socket's type."""
         found = self.source(socket)
         if found is None:
             return default(socket)
-        scope, origin = found
-        result = default(origin) if not origin.is_output else scope.output(origin)
-        return self._converted(result, origin.type, socket.type)
+        result = found.scope.output(found.socket) if found.is_computed else found.default()
+        for source, target in pairwise((found.socket.type, *found.passed, socket.type)):
+            result = self._converted(result, source, target)
+        return result
 
     def output(self, socket: bpy.types.NodeSocket) -> Value:
         """Value of an output socket; each is computed once."""
@@ -158,18 +188,16 @@ class Scope:
             value = emit(ops.LUMINANCE, value)
         elif target in _SCALARS and source == "VECTOR":
             value = emit(ops.AVERAGE, value)
-        if target == "INT" and source not in ("INT", "BOOLEAN"):
+        if target in _WHOLE and source not in _WHOLE:
             value = emit(outlined.MATH, value, p=SCALAR["TRUNC"])
         return value
 
     def shade(self, socket: bpy.types.NodeSocket, weight: Value) -> None:
         """Adds the closures that feed a shader socket."""
         found = self.source(socket)
-        if found is None or weight == ZERO:
+        if found is None or weight == ZERO or not found.is_computed:
             return
-        scope, origin = found
-        if not origin.is_output:
-            return
+        scope, origin, _ = found
         if origin.type != "SHADER":
             # Blender converts a colour in a shader socket to emission.
             color = scope.output(origin)
@@ -209,8 +237,9 @@ class NodeInput:
         return any(s.identifier == key or s.name == key for s in self.node.inputs)
 
     def linked(self, key: str | int) -> bool:
-        """Whether something feeds the input."""
-        return self.scope.source(self.socket(key)) is not None
+        """Whether something feeds the input, as Cycles sees it, which else takes what it does for the node (its normal, its coordinates)."""
+        found = self.scope.source(self.socket(key))
+        return found is not None and found.is_link
 
     def __getitem__(self, key: str | int) -> Value:
         return self.scope.read(self.socket(key))

@@ -165,6 +165,33 @@ def test_linked_but_plain_normal(grid):
     np.testing.assert_allclose(grid.compare()["plain"].normal, np.tile((0, 0, 1), (64, 1)), atol=1e-6)
 
 
+def test_normals_of_any_length(grid, node):
+    """As in Cycles they are made unit ones, and the surface's own where they are none."""
+    for name, normal in (("short", (0.2, 0.1, 0.3)), ("long", (0.5, -1.0, 2.0)), ("none", (0.0, 0.0, 0.0))):
+        grid.add(name, _diffuse_with("ShaderNodeCombineXYZ", node, inputs=dict(enumerate(normal))))
+    for name, got in grid.compare().items():
+        np.testing.assert_allclose(got.normal, got.passes["Normal"], atol=1e-5, err_msg=name)
+        np.testing.assert_allclose(np.linalg.norm(got.normal, axis=1), 1, rtol=1e-5)
+
+
+def test_a_group_s_normal_that_nothing_feeds_is_the_surface_s(grid, node):
+    def build(tree, end):
+        group = bpy.data.node_groups.new("Group", "ShaderNodeTree")
+        group.interface.new_socket("Normal", in_out="INPUT", socket_type="NodeSocketVector")
+        group.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
+        begin, inner = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+        shader = group.nodes.new("ShaderNodeBsdfDiffuse")
+        group.links.new(begin.outputs[0], shader.inputs["Normal"])
+        group.links.new(shader.outputs[0], inner.inputs[0])
+        tree.links.new(node(tree, "ShaderNodeGroup", node_tree=group).outputs[0], end.inputs[0])
+
+    grid.add("unlinked", build)
+    found = grid.compare()["unlinked"]
+    np.testing.assert_allclose(found.passes["Normal"], np.tile((0, 0, 1), (64, 1)), atol=1e-6)
+    if grid.flags[0] & sc.NORMAL_MAPPED:
+        np.testing.assert_allclose(found.normal, found.passes["Normal"], atol=1e-6)
+
+
 def _displaced(node, height, normal=None, space="OBJECT", **inputs):
     """A diffuse surface whose material has a displacement."""
 

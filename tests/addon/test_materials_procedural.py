@@ -75,6 +75,7 @@ def test_white_noise(grid):
         for output in ("Color", "Value"):
             inputs = {"Vector": snapped, "W": 2.0}
             grid.emit(f"{dimensions} {output}", "ShaderNodeTexWhiteNoise", output=output, noise_dimensions=dimensions, inputs=inputs)
+    grid.emit("everywhere alike", "ShaderNodeTexWhiteNoise", output="Color")
     check(grid)
 
 

@@ -71,6 +71,7 @@ SHADERS = {
     "subsurface": ("ShaderNodeSubsurfaceScattering", {"Color": (0.8, 0.4, 0.2, 1)}),
     "sheen": ("ShaderNodeBsdfSheen", {"Color": (0.8, 0.4, 0.2, 1), "Roughness": 0.5}),
     "toon": ("ShaderNodeBsdfToon", {"Color": (0.8, 0.4, 0.2, 1)}),
+    "background": ("ShaderNodeBackground", {"Color": (0.8, 0.4, 0.2, 1), "Strength": 2.5}),
     "emission": ("ShaderNodeEmission", {"Color": (0.8, 0.4, 0.2, 1), "Strength": 2.5}),
     "glossy": ("ShaderNodeBsdfAnisotropic", {"Color": (0.8, 0.4, 0.2, 1), "Roughness": 0.5}),
     "metallic": ("ShaderNodeBsdfMetallic", {"Roughness": 0.4}),

@@ -262,3 +262,128 @@ def _group(nested):
     group.links.new(begin.outputs[0], middle.inputs[0])
     group.links.new(middle.outputs[0], end.inputs[0])
     return group
+
+
+def _passed_through(kind, give, ask, into="NodeSocketColor", value=None):
+    """A group whose one input, of some type and value, `ask(tree, socket)` reads; `give(tree)` feeds it."""
+
+    def build(tree, end):
+        group = bpy.data.node_groups.new("Group", "ShaderNodeTree")
+        group.interface.new_socket("In", in_out="INPUT", socket_type=kind)
+        group.interface.new_socket("Out", in_out="OUTPUT", socket_type=into)
+        begin, inner = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+        group.links.new(ask(group, begin.outputs[0]), inner.inputs[0])
+        used, emission = _new(tree, "ShaderNodeGroup", node_tree=group), tree.nodes.new("ShaderNodeEmission")
+        if value is not None:
+            used.inputs[0].default_value = value
+        if give is not None:
+            tree.links.new(give(tree), used.inputs[0])
+        tree.links.new(used.outputs[0], emission.inputs[0])
+        tree.links.new(emission.outputs[0], end.inputs[0])
+
+    return build
+
+
+def _as_it_is(tree, socket):
+    return socket
+
+
+def _checked(tree, socket):
+    """A texture at a place."""
+    node = _new(tree, "ShaderNodeTexChecker")
+    node.inputs["Scale"].default_value = 3.1
+    tree.links.new(socket, node.inputs["Vector"])
+    return node.outputs[0]
+
+
+def _scaled(tree):
+    node = _new(tree, "ShaderNodeMath", operation="MULTIPLY")
+    node.inputs[1].default_value = 2.7
+    tree.links.new(_uv_x(tree), node.inputs[0])
+    return node.outputs[0]
+
+
+def test_sockets_of_groups_convert_what_passes_them(grid):
+    grid.add("colour to number", _passed_through("NodeSocketFloat", _tint, _as_it_is))
+    grid.add("vector to number", _passed_through("NodeSocketFloat", _uv, _as_it_is))
+    grid.add("number to whole number", _passed_through("NodeSocketInt", _scaled, _as_it_is))
+    grid.add("number to truth", _passed_through("NodeSocketBool", _scaled, _as_it_is))
+    grid.add("colour to number on its way out", _passed_through("NodeSocketColor", _tint, _as_it_is, into="NodeSocketFloat"))
+    check(grid)
+
+
+def test_what_nothing_feeds_leaves_textures_their_own_coordinates(grid):
+    """A number on a group's socket is not where a texture is read."""
+    grid.add("vector", _passed_through("NodeSocketVector", None, _checked, value=(0.2, 0.3, 0.1)))
+    grid.add("number", _passed_through("NodeSocketFloat", None, _checked, value=0.4))
+    grid.add("colour", _passed_through("NodeSocketColor", None, _checked, value=(0.4, 0.2, 0.1, 1)))
+
+    def mapped(tree, socket):
+        node = tree.nodes.new("ShaderNodeMapping")
+        tree.links.new(socket, node.inputs["Vector"])
+        return _checked(tree, node.outputs[0])
+
+    grid.add("vector that is moved", _passed_through("NodeSocketVector", None, mapped, value=(0.2, 0.3, 0.1)))
+
+    def nested(tree, socket):
+        inner = bpy.data.node_groups.new("Inner", "ShaderNodeTree")
+        inner.interface.new_socket("In", in_out="INPUT", socket_type="NodeSocketVector")
+        inner.interface.new_socket("Out", in_out="OUTPUT", socket_type="NodeSocketColor")
+        begin, end = inner.nodes.new("NodeGroupInput"), inner.nodes.new("NodeGroupOutput")
+        inner.links.new(_checked(inner, begin.outputs[0]), end.inputs[0])
+        node = _new(tree, "ShaderNodeGroup", node_tree=inner)
+        tree.links.new(socket, node.inputs[0])
+        return node.outputs[0]
+
+    grid.add("vector of the group within", _passed_through("NodeSocketVector", None, nested, value=(0.2, 0.3, 0.1)))
+    grid.add("number of the group within", _passed_through("NodeSocketFloat", None, nested, value=0.4))
+    check(grid)
+
+
+def test_muted_nodes_and_ends_without_a_link(grid):
+    def emitting(make):
+        def build(tree, end):
+            emission = tree.nodes.new("ShaderNodeEmission")
+            tree.links.new(make(tree), emission.inputs[0])
+            tree.links.new(emission.outputs[0], end.inputs[0])
+
+        return build
+
+    def muted(node_type, feed=None, output=0, **settings):
+        def make(tree):
+            node = _new(tree, node_type, **settings)
+            if feed is not None:
+                tree.links.new(feed(tree), next(s for s in node.inputs if s.enabled and s.type in ("VECTOR", "RGBA", "VALUE")))
+            node.mute = True
+            return node.outputs[output]
+
+        return make
+
+    grid.add("unlinked", emitting(muted("ShaderNodeGamma")))
+    grid.add("linked", emitting(muted("ShaderNodeGamma", _tint)))
+    grid.add("to a number", emitting(muted("ShaderNodeMath", _tint)))
+    grid.add("two outputs", emitting(muted("ShaderNodeSeparateXYZ", _uv, output=1)))
+    grid.add("without an input", emitting(muted("ShaderNodeTexMagic")))
+    grid.add("reroute", emitting(lambda tree: tree.nodes.new("NodeReroute").outputs[0]))
+    grid.add("moved texture", emitting(lambda tree: _checked(tree, muted("ShaderNodeMapping")(tree))))
+    group = bpy.data.node_groups.new("Without", "ShaderNodeTree")
+    group.interface.new_socket("Out", in_out="OUTPUT", socket_type="NodeSocketColor")
+    grid.add("group without an output", emitting(lambda tree: _new(tree, "ShaderNodeGroup", node_tree=group).outputs[0]))
+    check(grid)
+
+
+def test_what_eevee_alone_knows_feeds_nothing(grid):
+    grid.add("colour", lambda tree, end: _linked(tree, "ShaderNodeShaderToRGB", "ShaderNodeEmission", end))
+    grid.add("shader", lambda tree, end: tree.links.new(tree.nodes.new("ShaderNodeEeveeSpecular").outputs[0], end.inputs[0]))
+    found = grid.compare()
+    for name, got in found.items():
+        np.testing.assert_allclose(got.emission, got.passes["Emit"], atol=1e-6, err_msg=name)
+        assert not got.diffuse.any()
+    assert (found["colour"].emission == 1).all()
+    assert len([line for line in grid.warnings if "EEVEE alone knows it" in line]) == 2
+
+
+def _linked(tree, first, second, end):
+    a, b = tree.nodes.new(first), tree.nodes.new(second)
+    tree.links.new(a.outputs[0], b.inputs[0])
+    tree.links.new(b.outputs[0], end.inputs[0])

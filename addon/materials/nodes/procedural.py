@@ -40,7 +40,7 @@ def _dimensions(node: NodeInput) -> int:
 def white_noise(node: NodeInput, output: str) -> Value:
     """White Noise Texture."""
     dimensions = _dimensions(node)
-    at = _point(node) if dimensions > 1 else ZERO
+    at = node["Vector"] if dimensions > 1 else ZERO  # the only texture without coordinates of its own
     w = node["W"] if dimensions in (1, 4) else ZERO
     noise = node.emit(outlined.WHITE_NOISE, at, w, p=dimensions)
     return noise if output == "Color" else node.splat(noise, 3)

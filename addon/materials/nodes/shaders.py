@@ -9,6 +9,9 @@ from ..registry import closure
 from ..requests import WORLD_NORMAL
 from ..tree import NodeInput
 
+# Nodes whose normals have a length of 1.
+_UNIT_NORMALS = frozenset({"ShaderNodeBump", "ShaderNodeNormalMap", "ShaderNodeNewGeometry"})
+_NEXT_TO_NOTHING = 1e-12
 _COS_82 = 1 / 7  # cosine of what is called 82 degrees in F82
 
 
@@ -26,7 +29,12 @@ def _normal(node: NodeInput, key: str = "Normal") -> None:
     """The shading normal of a linked normal input, else the one that the material's displacement bends."""
     if node.has(key) and node.linked(key):
         corrected = getattr(getattr(node.context.material, "cycles", None), "use_bump_map_correction", True)
-        node.emit(ops.NORMAL_MAP, node[key], node.program.attribute(WORLD_NORMAL), p=int(corrected))
+        normal = node[key]
+        if node.scope.source(node.socket(key)).socket.node.bl_idname not in _UNIT_NORMALS:
+            # As Cycles, the surface's own where it is none.
+            surface = node.program.attribute(WORLD_NORMAL)
+            normal = node.vector("NORMALIZE", node.vector("MULTIPLY_ADD", surface, scalar(_NEXT_TO_NOTHING), normal))
+        node.emit(ops.NORMAL_MAP, normal, node.program.attribute(WORLD_NORMAL), p=int(corrected))
     elif node.has(key) and node.context.normal is not None:
         # To Cycles it is the surface's own: no bump that it could correct.
         node.emit(ops.NORMAL_MAP, node.context.normal, node.program.attribute(WORLD_NORMAL), p=0)
@@ -201,9 +209,9 @@ def transparent(node: NodeInput, weight: Value) -> None:
     node.emit(ops.TRANSPARENT_CLOSURE, node["Color"], ZERO, ZERO, weight)
 
 
-@closure("ShaderNodeEmission")
+@closure("ShaderNodeEmission", "ShaderNodeBackground")
 def emission(node: NodeInput, weight: Value) -> None:
-    """Emission."""
+    """Emission; Background on a surface is the same."""
     color = node.multiply(node["Color"], node["Strength"])
     if color != ZERO:
         node.emit(ops.EMISSION_CLOSURE, color, ZERO, ZERO, weight)

@@ -36,9 +36,13 @@ def sheet(stage, name="Sheet"):
         ("weight", "FLOAT", "POINT", n * n),
         ("level", "INT", "FACE", len(faces)),
         ("arrow", "FLOAT_VECTOR", "CORNER", corners),
+        ("crease", "FLOAT", "EDGE", len(mesh.edges)),
+        ("count", "INT", "EDGE", len(mesh.edges)),
+        ("marked", "BOOLEAN", "EDGE", len(mesh.edges)),
     ):
         data = mesh.attributes.new(layer, kind, domain).data
-        data.foreach_set("vector" if kind == "FLOAT_VECTOR" else "value", rng.integers(0, 4, count * (3 if kind == "FLOAT_VECTOR" else 1)))
+        values = rng.integers(0, 2 if kind == "BOOLEAN" else 4, count * (3 if kind == "FLOAT_VECTOR" else 1))
+        data.foreach_set("vector" if kind == "FLOAT_VECTOR" else "value", values.astype(bool) if kind == "BOOLEAN" else values)
     ob.color, ob.pass_index = (0.2, 0.4, 0.6, 0.8), 3
     ob["glow"] = 0.7
     return ob
@@ -94,6 +98,9 @@ NODES = {
     "colour named": ("ShaderNodeVertexColor", "Color", dict(layer_name="Float")),
     "attribute float": ("ShaderNodeAttribute", "Color", dict(attribute_name="weight")),
     "attribute int by face": ("ShaderNodeAttribute", "Color", dict(attribute_name="level")),
+    "attribute by edge": ("ShaderNodeAttribute", "Color", dict(attribute_name="crease")),
+    "attribute int by edge": ("ShaderNodeAttribute", "Color", dict(attribute_name="count")),
+    "attribute boolean by edge": ("ShaderNodeAttribute", "Color", dict(attribute_name="marked")),
     "attribute vector": ("ShaderNodeAttribute", "Vector", dict(attribute_name="arrow")),
     "attribute uv": ("ShaderNodeAttribute", "Vector", dict(attribute_name="First")),
     "attribute of the object": ("ShaderNodeAttribute", "Color", dict(attribute_name="glow", attribute_type="OBJECT")),

@@ -322,6 +322,28 @@ def test_indirect_only_and_holdout_collections(stage):
     assert any("'Holdout' is a holdout" in warning for warning in scene.warnings)
 
 
+@pytest.mark.parametrize("within", ["material", "group"])
+def test_what_only_holds_a_volume_has_no_surface(stage, within):
+    stage.cube("Thing", "Red")
+    stage.cube("Fog", "Fog").scale = 500, 500, 500
+    tree = stage.nodes(stage.material("Fog"))
+    tree.nodes.clear()
+    end, place = tree.nodes.new("ShaderNodeOutputMaterial"), tree
+    if within == "group":
+        place = bpy.data.node_groups.new("Fog", "ShaderNodeTree")
+        place.interface.new_socket("Volume", in_out="OUTPUT", socket_type="NodeSocketShader")
+        node = tree.nodes.new("ShaderNodeGroup")
+        node.node_tree = place
+        tree.links.new(node.outputs[0], end.inputs["Volume"])
+        end = place.nodes.new("NodeGroupOutput")
+    place.links.new(place.nodes.new("ShaderNodeVolumeScatter").outputs[0], end.inputs["Volume"])
+    scene = stage.extract()
+    g = scene.geometry
+    assert len(g.triangles) == 12 and g.object_names[g.object[0]] == "Thing" and len(set(g.object)) == 1
+    assert np.abs(g.vertices).max() < 4, "it does not stretch the scene's bounds"
+    assert [line for line in scene.warnings if "'Fog'" in line and "volume is left out" in line]
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e30])
 def test_invalid_vertices_cost_their_triangles_only(stage, value):
     bad = stage.cube("Bad")

@@ -215,11 +215,14 @@ def test_blackbody_in_a_group_multiplies(stage, cycles_irradiance):
     np.testing.assert_allclose(implied.mean(0), cycles_irradiance(16).mean(0), rtol=0.01)
 
 
-def test_nodes_that_are_not_known_are_named_in_a_warning(stage):
+@pytest.mark.parametrize(("node", "output", "named"), [("TexGabor", "Value", "Gabor"), ("LightPath", "Ray Length", "Ray Length")])
+def test_nodes_that_are_not_known_are_named_in_a_warning(stage, node, output, named):
     stage.cube()
-    with_nodes(stage, lambda tree, emission: tree.links.new(tree.nodes.new("ShaderNodeTexGabor").outputs[0], emission.inputs["Strength"]))
+    with_nodes(
+        stage, lambda tree, emission: tree.links.new(tree.nodes.new(f"ShaderNode{node}").outputs[output], emission.inputs["Strength"])
+    )
     scene = stage.extract()
-    assert any("'Point'" in warning and "Gabor" in warning for warning in scene.warnings)
+    assert any("'Point'" in warning and named in warning for warning in scene.warnings)
     assert scene.lamps.program.tolist() == [-1]
     np.testing.assert_allclose(scene.lamps.emission[0], 50 / (4 * math.pi), rtol=1e-6)
 

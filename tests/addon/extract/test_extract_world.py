@@ -247,6 +247,12 @@ def test_light_path_shows_what_the_camera_and_what_diffuse_rays_see(stage, sky, 
     assert path.outputs[ray].is_linked
 
 
+def test_window_coordinates_are_named_in_a_warning(stage, sky):
+    tree, background = sky
+    tree.links.new(tree.nodes.new("ShaderNodeTexCoord").outputs["Window"], background.inputs["Color"])
+    assert any("'World' is laid out over the camera's picture" in warning for warning in stage.extract().warnings)
+
+
 def test_volume_is_named_in_a_warning(stage, sky):
     tree, _ = sky
     output = next(node for node in tree.nodes if node.type == "OUTPUT_WORLD")
