@@ -110,7 +110,8 @@ def remember(
     run = Run(progress, sequence=sequence, turn=sequence.turn)
     threads = thread_count(settings.threads)
     begin = time.perf_counter()
-    picture = _passes(run, scene, settings, threads, None, topologies, lambda: time.perf_counter() - begin).picture
+    passes, _, _ = _passes(run, scene, settings, threads, None, topologies, lambda: time.perf_counter() - begin)
+    picture = passes.picture
     if exposed:
         sequence.expose(picture, threads)
     else:

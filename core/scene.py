@@ -27,9 +27,9 @@ RECTANGLE, ELLIPSE = 0, 1
 REMAINDER = "Remainder"
 
 # Flags of a material (`Materials.flags`).  ANGLED: its nodes ask for the side or the angle that it is seen from.  MIRRORING is
-# set for views alone (core/view/mirrors.py), BRUSHED for the rest of the transport (core/surfaces/brushed.py).
+# set for views alone (core/view/mirrors.py), BRUSHED and METAL for the rest of the transport (core/surfaces/brushed.py).
 EMISSIVE, TRANSPARENT, GLOSSY_LOBE, CONSTANT, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, ANGLED, MIRRORING = 1, 2, 4, 8, 16, 32, 64, 128, 256
-FROSTED, COATED, BRUSHED = 512, 1024, 2048
+FROSTED, COATED, BRUSHED, METAL = 512, 1024, 2048, 4096
 
 
 @dataclass

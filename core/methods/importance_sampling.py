@@ -44,7 +44,7 @@ from ..rays.packet import (
 from ..rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
-from ..scene import BRUSHED, DIFFUSE, EMISSIVE, TRANSPARENT
+from ..scene import DIFFUSE, EMISSIVE, METAL, TRANSPARENT
 from ..surfaces.by_view import DIFFUSE_ALONE, difference, views
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
@@ -258,7 +258,7 @@ def _gathered(
         if cell >= 0:
             cos_x = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
             clamped = min(_1, g_max * t * t / max(cos_x * cos_y, np.float32(1e-20)))
-            if t > near and not is_mirror(scene.materials, scene.material[triangle]):
+            if t > near and not scene.materials.flags[scene.material[triangle]] & METAL:
                 turned = more_by_view(cache, cell, cos_y)
                 by_view = turned * (_1 - clamped * cache.share[cell])
                 for c in range(0, out.shape[1], 3):
@@ -269,7 +269,7 @@ def _gathered(
                         out[k, c] += more * wr * (cache.radiosity[bounces, cell, c] - cache.radiosity[bounces - 1, cell, c])
                         out[k, c + 1] += more * wg * (cache.radiosity[bounces, cell, c + 1] - cache.radiosity[bounces - 1, cell, c + 1])
                         out[k, c + 2] += more * wb * (cache.radiosity[bounces, cell, c + 2] - cache.radiosity[bounces - 1, cell, c + 2])
-                if t > seen[lane, _REACH]:
+                if t > seen[lane, _REACH] and not is_mirror(scene.materials, scene.material[triangle]):
                     clamped *= seen[lane, _CARRIED]
                     for c in range(0, out.shape[1], 3):
                         shown[k, c] += tr * seen[lane, _WEIGHT] * known_light(cache, cell, c, more, clamped, turned)
@@ -575,7 +575,7 @@ class ImportanceSampling:
         self.cache, self.links = build_light_cache(
             probes, self.bounces + (has_lobes(points) or is_translucent(scene)), self.seed, self.threads, part(progress, 0.6, 1.0),
             gathered=self.bounces, later=min(1.0, RELIABLE * focus_share(self.emitters)), relied=self.relied,
-            by_view=views(scene.materials, scene.material, scene.attributes, self.threads), mirrors=scene.materials.flags & BRUSHED > 0,
+            by_view=views(scene.materials, scene.material, scene.attributes, self.threads), mirrors=scene.materials.flags & METAL > 0,
         )  # fmt: skip
         self.probes = probes
         self.near = np.float32(NEAR * self.cache.size)

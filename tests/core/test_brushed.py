@@ -34,6 +34,12 @@ def test_metal_is_but_neither_varnish_nor_blasted_metal(build, squares):
     assert is_marked(looking(build, (0.9, 0.4, 0.0), (0.04, 0.4, 0.5), (0.9, 0.8, 0.0)), squares) == [True, False, False]
 
 
+def test_gather_rays_follow_metal_alone(build, squares):
+    marked = with_brushed(looking(build, (0.9, 0.4, 0.0), (0.3, 0.4, 0.25), (0.9, 0.8, 0.0)), squares)
+    assert (marked.flags & sc.METAL > 0).tolist() == [True, False, False]
+    assert (marked.flags & sc.BRUSHED > 0).tolist() == [True, True, False]
+
+
 def test_a_mark_of_before_does_not_stay(build, squares):
     tables = looking(build, (0.04, 0.4, 0.5))
     assert is_marked(tables._replace(flags=tables.flags | np.int32(sc.BRUSHED)), squares) == [False]
