@@ -13,7 +13,7 @@ from .machine import Machine
 # kernels, the beginning of any, and each pixel.
 LOADING_RAYS, BEGIN_RAYS, PIXEL_RAYS = 450_000.0, 1_500_000.0, 75.0
 # More triangles make rays longer, and stand for richer materials and more edges: by how many times a pass takes as long for each time they double,
-# and as long without (eleven scenes of 32 to 560,000 triangles, smallest pass: within a fifth in nine of them).
+# and as long without (ten scenes of 32 to 560,000 triangles, smallest pass: within a fifth in nine of them).
 A_DOUBLING, NO_TRIANGLES, LEAST_FACTOR = 0.09, -0.08, 0.25
 # What each pixel costs however few its rays, as a quality: view, lobes, probes (480x270: .41 living room, .28 atrium, .56 Sponza).
 BASE = 0.42
