@@ -254,7 +254,8 @@ def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered
 def direct_sample_at(
     scene, packet, rows, surface, triangle, glossy, x, y, z, error, gx, gy, gz, sx, sy, sz, entered, seed, path, dimension
 ):
-    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine and the emitter of its light (-1: none), its cosine with g, and the share that passed no glass; the mean is exact.
+    """Irradiance (r, g, b) at one point by one shadow ray, W/m^2, the cosine and the emitter of its light (-1: none), its cosine with g, the share
+    that passed no glass, and its direction; the mean is exact.
 
     That cosine is 0 or less where light comes from below the facet, yet above the smooth surface.
     For the tails of paths: random numbers are hashed from (seed, path, dimension, 0..3).
@@ -278,7 +279,7 @@ def direct_sample_at(
                 u = (u - p) / (_1 - p)
             u = min(u, np.float32(0.99999994))
     if chosen < 0:
-        return _0, _0, _0, _0, -1, _0, _1
+        return _0, _0, _0, _0, -1, _0, _1, _0, _0, _0
     e, probability = emitters.groups[chosen], _1
     if e < 0:
         tree = emitters.tree
@@ -286,28 +287,28 @@ def direct_sample_at(
             tree.nodes, tree.two_sided, tree.children, tree.root, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 1)
         )
         if e < 0 or not _counts(scene, e, triangle, glossy):
-            return _0, _0, _0, _0, -1, _0, _1
+            return _0, _0, _0, _0, -1, _0, _1, _0, _0, _0
     dx, dy, dz, t, r, g, b, u, v = sample_emitter(
         emitters, e, x, y, z, sx, sy, sz, uniform(seed, path, dimension, 2), uniform(seed, path, dimension, 3), rows, surface
     )
     cosine, across = sx * dx + sy * dy + sz * dz, gx * dx + gy * dy + gz * dz
     if cosine <= _0 or not max(r, g, b) > _0:
-        return _0, _0, _0, _0, -1, _0, _1
+        return _0, _0, _0, _0, -1, _0, _1, _0, _0, _0
     if across <= _0 and (triangle < 0 or emitters.kind[e] == WORLD):
-        return _0, _0, _0, _0, -1, _0, _1
+        return _0, _0, _0, _0, -1, _0, _1, _0, _0, _0
     w = cosine * total / (chosen_estimate * probability)
     clear = _1
     if emitters.flags[e] & CASTS_SHADOW:
-        ox, oy, oz, dx, dy, dz, end = _shadow_ray_from(scene, triangle, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t, across)
-        tr, tg, tb, clear = passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered)
+        ox, oy, oz, rx, ry, rz, end = _shadow_ray_from(scene, triangle, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t, across)
+        tr, tg, tb, clear = passed(scene, packet, rows, surface, e, ox, oy, oz, rx, ry, rz, end, entered)
         r, g, b = r * tr, g * tg, b * tb
-    return w * r, w * g, w * b, cosine, e, across, clear
+    return w * r, w * g, w * b, cosine, e, across, clear, dx, dy, dz
 
 
 @leaf
 def direct_irradiance_at(scene, packet, rows, surface, x, y, z, error, gx, gy, gz, sx, sy, sz, seed, path, dimension):
     """The irradiance of `direct_sample_at`."""
-    r, g, b, _, _, _, _ = direct_sample_at(
+    r, g, b, _, _, _, _, _, _, _ = direct_sample_at(
         scene, packet, rows, surface, -1, False, x, y, z, error, gx, gy, gz, sx, sy, sz, OUTSIDE, seed, path, dimension
     )
     return r, g, b

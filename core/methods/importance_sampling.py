@@ -288,9 +288,11 @@ def _gathered(
         sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
         if sx * gx + sy * gy + sz * gz < 0:
             sx, sy, sz = -sx, -sy, -sz
+        further = uniform(seed, path, 3, 2) < more  # by one bounce, whose light no virtual light carries
+        last = whole if further else _1
         path_light(
             scene, single, rows, surface, lobe, cache, near, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered,
-            bounces + np.int64(uniform(seed, path, 3, 2) < more), seed, path, out, k, wr, wg, wb, own, sheen, whole,
+            bounces + np.int64(further), True, seed, path, out, k, wr, wg, wb, own, sheen, whole, last,
         )  # fmt: skip
 
 

@@ -7,7 +7,9 @@ diffuse or its glossy lobe to the next one, or through it where it is translucen
 To Cycles diffuse transmission is no diffuse bounce, so that as many of those may follow as after a glossy reflection.
 
 Of the lamps' light a glossy lobe reflects its true share, but spread as by a diffuse one: a path that finds a small lamp
-in a narrow lobe by chance would be all noise.  Where virtual lights stand for it, which know its direction, it is left to them.
+in a narrow lobe by chance would be all noise.  To gather rays metal, which sends next to nothing else, shows it by its own lobe, blurred where that
+is narrow: spread over the hemisphere, it would be far too bright to what lies along the surface, as a metal box to a metal floor.  Where virtual
+lights stand for that light, which know its direction, it is left to them.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from ..rays.packet import new_packet
 from ..references import Reference
 from ..sampling.hashing import uniform
 from ..sampling.maps import cosine_hemisphere, to_world
-from ..scene import DIFFUSE, GLOSSY, TRANSMISSION
+from ..scene import DIFFUSE, GLOSSY, METAL, TRANSMISSION
 from ..surfaces import ggx, layout
 from ..surfaces.bumps import shadowing
 from ..surfaces.layout import (
@@ -40,7 +42,7 @@ from ..surfaces.layout import (
     glossy_rise,
     translucency,
 )
-from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, lobe_cosine, sample_lobe, set_lobe
+from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, lobe_cosine, lobe_value, sample_lobe, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.sheen import lit_from
@@ -54,6 +56,8 @@ CHUNK = 1024  # points a chunk
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _THIRD = np.float32(1 / 3)
+_PI = np.float32(np.pi)
+BLUR = np.float32(0.35)  # least roughness of the lobe by which metal shows the lamps
 _MORE_SURFACES = 8  # that a path may meet beyond its diffuse bounces, by glossy reflections
 
 # Dimensions of the hash for one vertex of a path.
@@ -62,13 +66,14 @@ DIMENSIONS = 100
 
 @leaf
 def scatter_light(
-    scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, lamp_rays, diffuse, seed, path, at,
+    scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, lamp_rays, diffuse, towards, seed, path, at,
     out, shine, beneath, glass, apart, i, kr, kg, kb, sheen, aside,
 ):  # fmt: skip
     """What a surface sends towards w at first hand, and a ray that finds the rest.
 
     on: its triangle.  (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
-    overwritten.  lobe: (LOBE,) float32, scratch.  entered: solids of glass that the surface lies in, to its view.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn, and light by way of glass counts.  at: first dimension.
+    overwritten.  lobe: (LOBE,) float32, scratch.  entered: solids of glass that the surface lies in, to its view.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn, and light by way of glass counts.
+    towards: whether a glossy lobe sends the lamps' light where it does, not as a diffuse one.  at: first dimension.
     out, shine, beneath: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, of what
     comes through, and of a `WIDE` glossy lobe, to that of `out`, of another glossy one, times `sheen`, to that of `shine`.
     What comes from below the facet, where no particle lands, or nearly along it, where their weight is bounded, goes to `beneath`, times `aside`.
@@ -89,10 +94,16 @@ def scatter_light(
     shiny = max(f0r, f0g, f0b, f90r, f90g, f90b) > _0
     # As many again on the other side, where light comes through; called in one place, which is as fast as without.
     side = _1
+    set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
+    turned = towards and lobe[ALPHA] > _0
+    kept = lobe[ALBEDO]
+    if turned and roughness < BLUR:
+        set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, BLUR, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
+    kept *= _PI / max(lobe[ALBEDO], np.float32(1e-6))  # a blurred lobe sends as much
     for k in range(2 * lamp_rays if tr + tg + tb > _0 else lamp_rays):
         if k == lamp_rays:
             side = -_1
-        r, g, b, cosine, e, across, clear = direct_sample_at(
+        r, g, b, cosine, e, across, clear, dx, dy, dz = direct_sample_at(
             scene, packet, rows, surface, on, shiny, x, y, z, error, side * gx, side * gy, side * gz, side * sx, side * sy, side * sz, entered, seed, path, at + 20 + k
         )  # fmt: skip
         if e < 0:
@@ -118,6 +129,10 @@ def scatter_light(
                 lr = max(lr - er * dip * ggx.edge(f0r, f90r - f0r), _0)
                 lg = max(lg - eg * dip * ggx.edge(f0g, f90g - f0g), _0)
                 lb = max(lb - eb * dip * ggx.edge(f0b, f90b - f0b), _0)
+            if turned:
+                lr, lg, lb, _ = lobe_value(lobe, dx, dy, dz)
+                each = kept / max(cosine, np.float32(1e-4))
+                lr, lg, lb = each * lr, each * lg, each * lb
             fr, fg, fb = fr * lr, fg * lg, fb * lb
             if sheened != _0:
                 more = lit_from(sheened, cosine) - _1
@@ -148,7 +163,8 @@ def scatter_light(
             glass[i, c] += behind * r
             glass[i, c + 1] += behind * g
             glass[i, c + 2] += behind * b
-    set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
+    if turned and roughness < BLUR:
+        set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
     glossy = lobe[ALBEDO] if lobe[ALPHA] > _0 else _0
     dull = _THIRD * (dr + dg + db) if diffuse else _0
     through = _THIRD * (tr + tg + tb)
@@ -197,17 +213,17 @@ def _add_gain(scene, surface, cache, on, x, y, z, gx, gy, gz, cosine, seed, path
 
 @leaf
 def path_light(
-    scene, packet, rows, surface, lobe, cache, near, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, bounces, seed, path,
-    out, i, kr, kg, kb, own, sheen, whole,
+    scene, packet, rows, surface, lobe, cache, near, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, bounces, follows, seed, path,
+    out, i, kr, kg, kb, own, sheen, whole, last,
 ):  # fmt: skip
     """Adds one sample of pi times the radiance that a surface sends towards w, weighed by k, to row i of `out`.
 
     That is direct light, and light of further surfaces.
 
     The arguments as in `scatter_light`.  bounces: diffuse reflections at most; the first one after a lamp counts even if it
-    is glossy.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
+    is glossy.  follows: whether metal is not looked up, and shows the lamps by its lobe.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
     own: how much of the lamps' light that the first surface reflects counts, sheen: of that which it reflects as a glossy one,
-    whole: of that which comes from below its facet.
+    whole: of that which comes from below its facet.  last: of all light that has left as many surfaces as it may.
     out: (N, 3 G) float32 W/m^2, three columns for each light group.
     """
     wr = wg = wb = _1
@@ -221,9 +237,10 @@ def path_light(
         first = own if vertex == 0 else _1
         shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1
+        towards = follows and scene.materials.flags[scene.material[on]] & METAL != 0
         dx, dy, dz, tr, tg, tb, kinds = scatter_light(
-            scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, 1, left > 0, seed, path, at,
-            out, out, out, out, False, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
+            scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, 1, left > 0,
+            towards, seed, path, at, out, out, out, out, False, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
         )  # fmt: skip
         if kinds == 0:
             break
@@ -234,6 +251,9 @@ def path_light(
         wr, wg, wb = wr * tr, wg * tg, wb * tb
         if vertex == 0 and kinds != DIFFUSE:  # lights carry none of what lobes reflect of other surfaces, nor of what comes through
             wr, wg, wb = whole * wr, whole * wg, whole * wb
+            last = _1
+        elif kinds == DIFFUSE and left == 0:
+            wr, wg, wb = last * wr, last * wg, last * wb
         if vertex > 0:  # russian roulette by what the path still carries
             go_on = min(np.float32(0.95), max(wr, wg, wb))
             if uniform(seed, path, at, 5) >= go_on:
@@ -254,12 +274,18 @@ def path_light(
         if behind:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
         mirrored = _0 if encloses(scene.materials.flags[scene.material[triangle]], behind) else _1
-        if t > near and left < len(cache.radiosity):
+        if t > near and left < len(cache.radiosity) and not (follows and scene.materials.flags[scene.material[triangle]] & METAL):
             cell = find_cell(
                 cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, at, 60), uniform(seed, path, at, 61)
             )  # fmt: skip
             if cell >= 0:
                 add_known(cache, left, cell, -(gx * dx + gy * dy + gz * dz), kr * wr, kg * wg, kb * wb, out, i)
+                if left > 0 and last != _1:
+                    more = last - _1
+                    for c in range(0, out.shape[1], 3):
+                        out[i, c] += more * kr * wr * (cache.radiosity[left, cell, c] - cache.radiosity[left - 1, cell, c])
+                        out[i, c + 1] += more * kg * wg * (cache.radiosity[left, cell, c + 1] - cache.radiosity[left - 1, cell, c + 1])
+                        out[i, c + 2] += more * kb * wb * (cache.radiosity[left, cell, c + 2] - cache.radiosity[left - 1, cell, c + 2])
                 break
         wx, wy, wz = -dx, -dy, -dz
 
@@ -289,8 +315,8 @@ def _tail_chunk(scene, cache, near, points, further, begin, end, bounces, seed, 
         path_light(
             scene, packet, rows, surface, lobe, cache, near, points.triangle[i], points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
-            points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], np.int64(points.entered[i]), most, seed, np.uint32(i),
-            out, i, weight, weight, weight, _1, _1, _1,
+            points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], np.int64(points.entered[i]), most, False, seed, np.uint32(i),
+            out, i, weight, weight, weight, _1, _1, _1, _1,
         )  # fmt: skip
 
 

@@ -39,6 +39,7 @@ MATERIALS = {
     "varnish": {"Roughness": 0.5, "Base_Color": (0.75, 0.6, 0.5, 1)},
     "rough": {"Roughness": 1.0, "Base_Color": (0.75, 0.6, 0.5, 1)},
     "semi-metal": {"Roughness": 0.4, "Metallic": 0.5, "Base_Color": (0.5, 0.5, 0.5, 1)},
+    "metal": {"Roughness": 0.4, "Metallic": 0.82, "Base_Color": (0.5, 0.5, 0.5, 1)},
     "polish": {"Roughness": 0.2, "Base_Color": (0.75, 0.6, 0.5, 1)},
 }
 
@@ -51,7 +52,8 @@ def test_a_first_bounce_counts_by_the_lobe_that_it_is_drawn_from(surface, bounce
     halves = cached_halves(scene, identity, size=SIZE, spp=512, bounces=bounces, seed=1)
     arrays = extract_scene(scene, size=SIZE)
     ours = [render(arrays, RenderSettings(seed=seed, bounces=bounces)).layers for seed in range(SEEDS)]
-    for name, tolerance in (("GlossyIndirect", 0.03), ("DiffuseIndirect", 0.02)):
+    # Of what gather rays that follow metal find beyond the last bounce of virtual lights, 2 % were lost.
+    for name, tolerance in (("GlossyIndirect", 0.03), ("DiffuseIndirect", 0.012 if surface == "metal" else 0.02)):
         expected, mine = ([layers[name].mean(dtype=float) for layers in some] for some in (halves, ours))
         noise = abs(expected[0] - expected[1]) / 2 + np.std(mine, ddof=1) / math.sqrt(SEEDS)
         assert np.mean(mine) == pytest.approx(np.mean(expected), abs=tolerance * np.mean(expected) + 2 * noise), name
