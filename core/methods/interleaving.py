@@ -1,9 +1,6 @@
-"""Interleaved sampling and the geometry-aware blur that removes its pattern.
+"""Interleaved sampling: the pixels of a block of I x I each have a share of the VPLs of their own.
 
-Keller & Heidrich 2001; Segovia et al. 2006; as in Dong et al. 2009, Section 6.  The pixels of a block of I x I each light by their own
-share of the VPLs (the pixel's residue).  Every window of I x I pixels holds each share once, so that the sum over a window of one
-surface has no pattern at all, however unlike the shares are.  Where the window leaves the surface, a missing share is
-taken from the pixels a block further on; what is missing there, too, is left to the caller, who computes it.
+Keller & Heidrich 2001; Segovia et al. 2006; as in Dong et al. 2009, Section 6.  Every window of I x I pixels holds each share once.
 """
 
 from __future__ import annotations
@@ -17,10 +14,10 @@ from ..jit import inlined, kernel
 from ..threads import run_chunks
 from ..view.points import ShadingPoints
 
-LARGEST = 8  # I at most: the shares of a block are the bits of a 64-bit number
-ALPHA = 0.1  # of the scene's extent: farther points are not blurred over (Laine et al. 2007)
-BETA = 0.8  # least cosine of the normals
-PLANE = 0.35  # sine of the angle by which a neighbour may lie off the point's plane
+LARGEST = 8  # I at most
+ALPHA = 0.1  # of the scene's extent: points farther apart have nothing to do with each other (Laine et al. 2007)
+BETA = 0.8  # least cosine of their normals
+PLANE = 0.1  # sine of the angle by which a chord may lie off the tangent of a round surface
 TILE = 64  # pixels along the edge of the area from which points with one residue are lit together
 TOGETHER = 128  # such points at most
 CHUNK = 4096  # points blurred in one piece of work
@@ -32,13 +29,15 @@ class Pixels(NamedTuple):
     """Which of N points a picture's pixels show.
 
     interleave: I.  width: pixels of a row.  order: (N,) int32, points by pixel.  first: (P + 1,) int32: the points
-    order[first[p]..first[p + 1] - 1] are in pixel p.
+    order[first[p]..first[p + 1] - 1] are in pixel p.  across, down: (I * I,) int64, column and row in a block of the pixel that has each share.
     """
 
     interleave: int
     width: int
     order: np.ndarray
     first: np.ndarray
+    across: np.ndarray
+    down: np.ndarray
 
 
 class Batches(NamedTuple):
@@ -56,22 +55,29 @@ def pixels_of(points: ShadingPoints, width: int, interleave: int) -> Pixels:
     """The points of each pixel of a picture that is `width` pixels wide."""
     counts = np.bincount(points.pixel)
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-    return Pixels(interleave, width, radix_order(points.pixel.astype(np.int64)), first)
+    return Pixels(interleave, width, radix_order(points.pixel.astype(np.int64)), first, *_offsets(interleave))
+
+
+def shares_of_residues(interleave: int) -> np.ndarray:
+    """(I * I,) int64: the share of each residue; those of neighbours are far apart, so that they light by different area lights."""
+    n = interleave**2
+    step = round(0.618 * n) if n > 2 else 1
+    while np.gcd(step, n) > 1:
+        step += 1
+    return np.arange(n) * step % n
+
+
+def _offsets(interleave: int) -> tuple[np.ndarray, np.ndarray]:
+    """Column and row of each share's pixel in a block, (I * I,) int64 each."""
+    residue = np.argsort(shares_of_residues(interleave))
+    return residue % interleave, residue // interleave
 
 
 def own_shares(points: ShadingPoints, pixels: Pixels) -> Batches:
     """Every point with the share of its pixel."""
     x, y = points.pixel % pixels.width, points.pixel // pixels.width
-    return batches(np.arange(len(points.pixel), dtype=np.int32), (y % pixels.interleave) * pixels.interleave + x % pixels.interleave, x, y)
-
-
-def missing_shares(points: ShadingPoints, pixels: Pixels, missing: np.ndarray) -> Batches:
-    """Every point with the shares that it misses; missing: (N,) uint64, of `blur`."""
-    at = np.flatnonzero(missing)
-    row, share = np.nonzero((missing[at, None] >> np.arange(pixels.interleave**2, dtype=np.uint64)) & np.uint64(1))
-    point = at[row].astype(np.int32)
-    pixel = points.pixel[point]
-    return batches(point, share, pixel % pixels.width, pixel // pixels.width)
+    residue = (y % pixels.interleave) * pixels.interleave + x % pixels.interleave
+    return batches(np.arange(len(points.pixel), dtype=np.int32), shares_of_residues(pixels.interleave)[residue], x, y)
 
 
 def all_shares(points: ShadingPoints) -> Batches:
@@ -101,64 +107,49 @@ def batches(point: np.ndarray, share: np.ndarray, x: np.ndarray, y: np.ndarray) 
 
 
 @inlined
-def _alike(table, i, k, gx, gy, gz, reach2):
-    """Whether the points at places i and k are taken for one smooth surface; g: the geometric normal at i."""
+def alike(table, i, k, reach2):
+    """Whether the points at places i and k of a table (N, 6) of positions and normals are taken for one smooth surface.
+
+    Chords of a sphere are normal to the mean of the normals at their ends: so a surface may turn, but not step.
+    """
     dx, dy, dz = table[k, 0] - table[i, 0], table[k, 1] - table[i, 1], table[k, 2] - table[i, 2]
     cosine = table[i, 3] * table[k, 3] + table[i, 4] * table[k, 4] + table[i, 5] * table[k, 5]
     r2 = dx * dx + dy * dy + dz * dz
-    off = gx * dx + gy * dy + gz * dz
-    return cosine >= np.float32(BETA) and r2 <= reach2 and off * off <= np.float32(PLANE * PLANE) * r2
+    off = (table[i, 3] + table[k, 3]) * dx + (table[i, 4] + table[k, 4]) * dy + (table[i, 5] + table[k, 5]) * dz
+    return cosine >= np.float32(BETA) and r2 <= reach2 and off * off <= np.float32(4 * PLANE * PLANE) * r2
+
+
+def by_place(points: ShadingPoints, pixels: Pixels) -> np.ndarray:
+    """Position and geometric normal (N, 6) float32 of the points by pixel, as `alike` reads them."""
+    return np.concatenate([points.position, points.ng], axis=1)[pixels.order]
 
 
 @kernel
-def _blur(points, pixels, table, begin, end, reach2, out, missing):
-    """The mean of each share over the points like i in i's window, summed over the shares, for the points at places begin..end-1.
-
-    table: (N, 9) float32 position, shading normal and light of the points by pixel.
-    """
+def _blur(points, pixels, table, values, begin, end, reach2, out):
+    """Means over the points alike in their windows, for those at places begin..end-1, into out (N, 3)."""
     size, width, first = pixels.interleave, pixels.width, pixels.first
     last = len(first) - 1
-    height = (last - 1) // width + 1
     for place in range(begin, end):
         i = pixels.order[place]
-        gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
         x, y = points.pixel[i] % width, points.pixel[i] // width
-        red = green = blue = _0
-        lacks = np.uint64(0)
-        for dy in range(-(size // 2), size - size // 2):
-            for dx in range(-(size // 2), size - size // 2):
-                # Here, else a block further on, on the other side of the point, in one or both axes.
-                found = 0
-                r = g = b = _0
-                for further in range(4):
-                    u = x + dx + (0 if further & 1 == 0 else size if dx < 0 else -size)
-                    v = y + dy + (0 if further & 2 == 0 else size if dy < 0 else -size)
-                    at = v * width + u
-                    if u < 0 or v < 0 or u >= width or v >= height or at >= last:
-                        continue
-                    for k in range(first[at], first[at + 1]):
-                        if _alike(table, place, k, gx, gy, gz, reach2):
-                            found += 1
-                            r, g, b = r + table[k, 6], g + table[k, 7], b + table[k, 8]
-                    if found > 0:
-                        break
-                if found > 0:
-                    scale = _1 / np.float32(found)
-                    red, green, blue = red + scale * r, green + scale * g, blue + scale * b
-                else:
-                    lacks |= np.uint64(1) << np.uint64(((y + dy) % size) * size + (x + dx) % size)
-        out[i, 0], out[i, 1], out[i, 2] = red, green, blue
-        missing[i] = lacks
+        red = green = blue = count = _0
+        for v in range(max(y - size // 2, 0), y + size - size // 2):
+            for u in range(max(x - size // 2, 0), min(x + size - size // 2, width)):
+                if v * width + u >= last:
+                    break
+                for k in range(first[v * width + u], first[v * width + u + 1]):
+                    if k == place or alike(table, place, k, reach2):
+                        j = pixels.order[k]
+                        red, green, blue, count = red + values[j, 0], green + values[j, 1], blue + values[j, 2], count + _1
+        out[i, 0], out[i, 1], out[i, 2] = red / count, green / count, blue / count
 
 
-def blur(points: ShadingPoints, pixels: Pixels, light: np.ndarray, extent: float, threads: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Light of all shares (N, 3) from that of each point's own share (N, 3), but for the shares `missing` (N,) uint64, bit by bit.
+def blur(points: ShadingPoints, pixels: Pixels, values: np.ndarray, extent: float, threads: int = 0) -> np.ndarray:
+    """Geometry-aware blur of values (N, 3): means over windows of I x I pixels, of points of one surface.
 
     extent: of the scene (m).
     """
-    n = len(points.pixel)
-    out, missing = np.empty_like(light), np.empty(n, np.uint64)
-    reach2 = np.float32((ALPHA * extent) ** 2)
-    table = np.concatenate([points.position, points.ns, light], axis=1)[pixels.order]
-    run_chunks(lambda begin, end: _blur(points, pixels, table, begin, end, reach2, out, missing), n, CHUNK, threads)
-    return out, missing
+    out = np.empty_like(values)
+    table, reach2 = by_place(points, pixels), np.float32((ALPHA * extent) ** 2)
+    run_chunks(lambda begin, end: _blur(points, pixels, table, values, begin, end, reach2, out), len(values), CHUNK, threads)
+    return out

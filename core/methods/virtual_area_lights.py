@@ -3,7 +3,7 @@
 VPLs are grouped into M area lights (VALs), each with one soft shadow map; nothing is precomputed, so that all of it may change in every
 frame.  Two things are done beyond the paper.  A VPL that is so near that it gives a point a visible part of its light has a
 shadow ray of its own: there an area's shadow, and the map's texels, are too coarse (contacts, corners).  And interleaved
-sampling leaves no noise at edges, see `interleaving`.
+pixels share what they see, not their light, see `visibility_sharing`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from ..clustering.area_lights import WEIGHT_ANGLE, WEIGHT_POSITION, AreaLights, cluster_area_lights, nearest_area_light
 from ..jit import kernel
-from ..particles import Vpls
+from ..particles import Vpls, is_ahead
 from ..rays.offsets import shadow_segment
 from ..rays.packet import WIDTH, new_packet, set_ray
 from ..rays.trace import OPAQUE, occluded1
@@ -31,15 +31,18 @@ from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints, pixel_maxima
 from .instant_radiosity import clamp_of, compensate, geometry_terms
-from .interleaving import LARGEST, TOGETHER, Batches, all_shares, blur, missing_shares, own_shares, pixels_of
+from .interleaving import LARGEST, TOGETHER, Batches, Pixels, all_shares, blur, own_shares, pixels_of
 from .light_cache import no_cache
+from .visibility_sharing import code_of, gather
 
 RESOLUTION = 256  # texels of a depth map
-NEAR = 0.05  # of the clamp: VPLs with a larger geometry term have rays of their own
+NEAR = 0.02  # of the clamp: VPLs with a larger geometry term have rays of their own
 FLAT = 0.05  # of its size: a VAL whose members lie closer to its plane has its map at their mean
 ALIGNED = 0.9  # least cosine of the members' normals of such a VAL, and of one that needs no second map
 LIFT = 1e-3  # of the scene's extent, from the VAL's surface to its map
 KERNEL = 0.5  # of a VAL's rectangle, for its shadows: VPLs are sparse at the borders; least error in every scene measured
+FLOOR = 0.1  # of the mean light: errors of it matter everywhere
+MOST_SEEN = 1 << 28  # bytes of what points see; more VPLs are lit by in parts
 BATCHES = 16  # in one piece of work
 GATHER_CHUNK = 1024
 LEAST_GATHERED = 1 << 14  # gather rays in all
@@ -50,6 +53,7 @@ MOST_PLACES = 4096  # VPLs by which M is chosen
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _HALF = np.float32(0.5)
+_THIRD = np.float32(1 / 3)
 _INV_PI = np.float32(1.0 / np.pi)
 
 
@@ -81,11 +85,13 @@ def _visibility(maps, lights, val, x, y, z, sums):
 
 
 @kernel
-def _trace_near(scene, lights, points, pairs, packet, rows, surface, cutouts, waiting, of_vpl, strength, count, through, out):
-    """Adds the light of `count` pairs of a point and a near VPL, by shadow rays."""
-    vpls = lights.vpls
+def _trace_near(scene, vpls, points, packet, rows, surface, cutouts, at, lane_of, of_vpl, count, through, visible):
+    """What `count` pairs of a point and a near VPL see of each other, by shadow rays, into visible (P, K).
+
+    at: (P,) int32, the points.  lane_of: (16, 2) int64, where to write a lane's finding.  of_vpl: (16,) int64.
+    """
     for lane in range(count):
-        i, j = pairs[waiting[lane]], of_vpl[lane]
+        i, j = at[lane_of[lane, 0]], of_vpl[lane]
         ox, oy, oz, dx, dy, dz = shadow_segment(
             points.position[i, 0], points.position[i, 1], points.position[i, 2], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.error[i],
             vpls.position[j, 0], vpls.position[j, 1], vpls.position[j, 2],
@@ -94,8 +100,66 @@ def _trace_near(scene, lights, points, pairs, packet, rows, surface, cutouts, wa
         set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
     shadow_packet(scene, packet, rows, surface, count, DIFFUSE, cutouts, through)
     for lane in range(count):
+        visible[lane_of[lane, 0], lane_of[lane, 1]] = (through[lane, 0] + through[lane, 1] + through[lane, 2]) * _THIRD
+
+
+@kernel
+def _look(scene, lights, maps, points, at, share, room, g_near, cutouts, visible, g):
+    """What points see of the VPLs of one share, 0 to 1, into visible (P, K), and the geometry terms into g (P, K); the rays traced.
+
+    at: (P,) int32, the points.  room: what `_room` allocates.
+    """
+    vpls, val = lights.vpls, lights.val
+    position, ng, ns, column, far, sums, packet, surface, rows, lane_of, of_vpl, through = room
+    n = len(at)
+    for k in range(n):
         for c in range(3):
-            out[waiting[lane], c] += strength[lane] * _INV_PI * vpls.flux[of_vpl[lane], c] * through[lane, c]
+            position[k, c], ng[k, c], ns[k, c] = points.position[at[k], c], points.ng[at[k], c], points.ns[at[k], c]
+        far[k] = 0
+    lanes = rays = 0
+    j0, j1 = lights.first[share], lights.first[share + 1]
+    begin = j0
+    for j in range(j0, j1):
+        x, y, z = vpls.position[j, 0], vpls.position[j, 1], vpls.position[j, 2]
+        geometry_terms(position, ns, ng, 0, n, x, y, z, vpls.normal[j, 0], vpls.normal[j, 1], vpls.normal[j, 2], column)
+        for k in range(n):
+            if cutouts and not is_ahead(vpls, j, position[k, 0], position[k, 1], position[k, 2]):
+                column[k] = _0
+            g[k, j - j0] = column[k]
+            visible[k, j - j0] = _0
+            if column[k] > g_near:
+                lane_of[lanes, 0], lane_of[lanes, 1], of_vpl[lanes] = k, j - j0, j
+                lanes += 1
+                if lanes == WIDTH:
+                    _trace_near(scene, vpls, points, packet, rows, surface, cutouts, at, lane_of, of_vpl, lanes, through, visible)
+                    rays += lanes
+                    lanes = 0
+            elif column[k] > _0:
+                far[k] = 1
+        if j + 1 == j1 or val[j + 1] != val[j]:
+            for k in range(n):
+                if far[k]:
+                    far[k] = 0
+                    seen = _visibility(maps, lights, val[j], position[k, 0], position[k, 1], position[k, 2], sums)
+                    for i in range(begin - j0, j + 1 - j0):
+                        if _0 < g[k, i] <= g_near:
+                            visible[k, i] = seen
+            begin = j + 1
+    if lanes > 0:
+        _trace_near(scene, vpls, points, packet, rows, surface, cutouts, at, lane_of, of_vpl, lanes, through, visible)
+        rays += lanes
+    return rays
+
+
+@kernel
+def _room(scene, maps):
+    """Scratch memory of `_look`."""
+    return (
+        np.empty((TOGETHER, 3), np.float32), np.empty((TOGETHER, 3), np.float32), np.empty((TOGETHER, 3), np.float32),
+        np.empty(TOGETHER, np.float32), np.empty(TOGETHER, np.uint8), np.empty(maps.tables.shape[3], np.float32),
+        new_packet(), np.zeros(SURFACE, np.float32), new_registers(scene.materials),
+        np.empty((WIDTH, 2), np.int64), np.empty(WIDTH, np.int64), np.ones((WIDTH, 3), np.float32),
+    )  # fmt: skip
 
 
 @kernel
@@ -104,72 +168,56 @@ def _shade(scene, lights, maps, points, pairs, borders, shares, begin, end, g_ma
 
     pairs: (P,) int32, the points.  borders, shares: of `Batches`.
     """
-    vpls, val = lights.vpls, lights.val
-    position, ng, ns = np.empty((TOGETHER, 3), np.float32), np.empty((TOGETHER, 3), np.float32), np.empty((TOGETHER, 3), np.float32)
-    g = np.empty(TOGETHER, np.float32)
-    light = np.empty((TOGETHER, 3), np.float32)
-    sums = np.empty(maps.tables.shape[3], np.float32)
-    packet = new_packet()
-    surface = np.zeros(SURFACE, np.float32)
-    rows = new_registers(scene.materials)
-    waiting, of_vpl, strength = np.empty(WIDTH, np.int64), np.empty(WIDTH, np.int64), np.empty(WIDTH, np.float32)
-    through = np.ones((WIDTH, 3), np.float32)
+    most = np.max(np.diff(lights.first))
+    visible, g = np.empty((TOGETHER, most), np.float32), np.empty((TOGETHER, most), np.float32)
+    room = _room(scene, maps)
+    flux = lights.vpls.flux
     rays = 0
     for batch in range(begin, end):
-        first, last = borders[batch], borders[batch + 1]
-        n = last - first
-        for k in range(n):
-            i = pairs[first + k]
-            for c in range(3):
-                position[k, c], ng[k, c], ns[k, c] = points.position[i, c], points.ng[i, c], points.ns[i, c]
-                light[k, c] = out[first + k, c] = _0
-        lanes = 0
-        j1 = lights.first[shares[batch] + 1]
-        for j in range(lights.first[shares[batch]], j1):
-            x, y, z = vpls.position[j, 0], vpls.position[j, 1], vpls.position[j, 2]
-            geometry_terms(position, ns, ng, 0, n, x, y, z, vpls.normal[j, 0], vpls.normal[j, 1], vpls.normal[j, 2], g)
-            red, green, blue = vpls.flux[j, 0] * _INV_PI, vpls.flux[j, 1] * _INV_PI, vpls.flux[j, 2] * _INV_PI
-            for k in range(n):
-                if g[k] > g_near:
-                    waiting[lanes], of_vpl[lanes], strength[lanes] = first + k, j, min(g[k], g_max)
-                    g[k] = _0
-                    lanes += 1
-                    if lanes == WIDTH:
-                        _trace_near(
-                            scene, lights, points, pairs, packet, rows, surface, cutouts, waiting, of_vpl, strength, lanes, through, out
-                        )
-                        rays += lanes
-                        lanes = 0
-            for k in range(n):
-                light[k, 0] += g[k] * red
-                light[k, 1] += g[k] * green
-                light[k, 2] += g[k] * blue
-            if j + 1 == j1 or val[j + 1] != val[j]:
-                for k in range(n):
-                    if max(light[k, 0], light[k, 1], light[k, 2]) > _0:
-                        seen = _visibility(maps, lights, val[j], position[k, 0], position[k, 1], position[k, 2], sums)
-                        for c in range(3):
-                            out[first + k, c] += seen * light[k, c]
-                            light[k, c] = _0
-        if lanes > 0:
-            _trace_near(scene, lights, points, pairs, packet, rows, surface, cutouts, waiting, of_vpl, strength, lanes, through, out)
-            rays += lanes
+        first, last, share = borders[batch], borders[batch + 1], shares[batch]
+        rays += _look(scene, lights, maps, points, pairs[first:last], share, room, g_near, cutouts, visible, g)
+        j0 = lights.first[share]
+        for k in range(last - first):
+            red = green = blue = _0
+            for j in range(lights.first[share + 1] - j0):
+                w = min(g[k, j], g_max) * visible[k, j] * _INV_PI
+                red += w * flux[j0 + j, 0]
+                green += w * flux[j0 + j, 1]
+                blue += w * flux[j0 + j, 2]
+            out[first + k, 0], out[first + k, 1], out[first + k, 2] = red, green, blue
     return rays
 
 
 @kernel
-def _add_pairs(pairs, light, out):
-    """Adds the light (P, 3) of pairs to their points' (N, 3)."""
-    for p in range(len(pairs)):
-        for c in range(3):
-            out[pairs[p], c] += light[p, c]
+def _see(scene, lights, maps, points, place, pairs, borders, shares, begin, end, g_max, g_near, cutouts, seen, light):
+    """What points see of the VPLs of their shares, 0 to 255, into seen (N, K) by place, and their light into light (N,); the shadow rays traced."""
+    each = seen.shape[1]
+    visible, g = np.empty((TOGETHER, each), np.float32), np.empty((TOGETHER, each), np.float32)
+    room = _room(scene, maps)
+    flux = lights.vpls.flux
+    rays = 0
+    for batch in range(begin, end):
+        first, last, share = borders[batch], borders[batch + 1], shares[batch]
+        rays += _look(scene, lights, maps, points, pairs[first:last], share, room, g_near, cutouts, visible, g)
+        j0 = lights.first[share]
+        count = lights.first[share + 1] - j0
+        for k in range(last - first):
+            at = place[pairs[first + k]]
+            total = _0
+            for j in range(count):
+                total += min(g[k, j], g_max) * visible[k, j] * (flux[j0 + j, 0] + flux[j0 + j, 1] + flux[j0 + j, 2])
+                seen[at, j] = code_of(visible[k, j]) if g[k, j] > _0 else np.uint8(0)
+            for j in range(count, each):
+                seen[at, j] = 0
+            light[at] = total
+    return rays
 
 
 class VirtualAreaLights:
     """All VPLs on all points, visibility by M area lights.
 
     vals: M; None: as many as the lighting needs (`wanted_area_lights`).
-    interleave: I, 1 to 8: each pixel of a block of I x I lights by a part of the VPLs, and a blur over the block gives it the others.
+    interleave: I, 1 to 8: each pixel of a block of I x I looks at a part of the VPLs, and its neighbours tell it what they see of the others.
     width: pixels of the picture's rows; None, for points that are no picture, turns interleaving off.
     terms: of the shadow maps' Fourier series.  resolution: of their depth maps, a multiple of 32.
     compensation: gather rays that give back the light taken by the clamp, from the I x I points of a block together (0: none).
@@ -201,13 +249,13 @@ class VirtualAreaLights:
         self.threads = threads
         self.rays = 0
         self.pairs = 0
-        self.seconds: dict[str, float] = {}  # of the paper's stages (its Table 2)
+        self.seconds: dict[str, float] = {}  # CPU time of the paper's stages (its Table 2)
 
     @contextmanager
     def _stage(self, name: str) -> Iterator[None]:
-        begin = time.perf_counter()
+        begin = time.process_time()
         yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.process_time() - begin
 
     def prepare(self, scene: Transport, vpls: Vpls, points: ShadingPoints) -> None:
         """Groups the VPLs and makes the VALs' shadow maps; `points` only sets the scale of the clamp."""
@@ -253,21 +301,56 @@ class VirtualAreaLights:
         self.pairs += n * len(self.lights.val)
         if self.interleave == 1 or n == 0:
             return self._shade(points, all_shares(points), progress) + self._lost(points, self.compensation)
-        with self._stage("indirect light"):
-            pixels = pixels_of(points, self.width, self.interleave)
-            own = own_shares(points, pixels)
-            light = np.empty((n, 3), np.float32)
-            light[own.point] = self._shade(points, own, progress)
+        pixels = pixels_of(points, self.width, self.interleave)
+        own = own_shares(points, pixels)
+        out = np.zeros((n, 3), np.float32)
+        parts = max(1, -(-n * len(self.lights.val) // (self.interleave**2 * MOST_SEEN)))
+        for part in range(parts):
+            lights = self._part(part, parts)
+            with self._stage("indirect light"):
+                seen, light = self._see(points, pixels, own, lights, progress)
+            with self._stage("blur"):
+                floor = FLOOR * float(light.mean(dtype=np.float64)) * self.interleave**2 / (3 * np.pi)
+                found, rays = gather(
+                    self.scene, points, pixels, _columns(lights, seen.shape[1]), seen, self.extent, self.g_max, floor, self.cutouts,
+                    self.seed, self.threads,
+                )  # fmt: skip
+            out += found
+            self.rays += rays
+        with self._stage("compensation"):
             # A few gather rays a point are enough where there are many points, for those of a block share them.
-            block = self.interleave**2
-            few = max(-(-self.compensation // block), min(self.compensation, -(-LEAST_GATHERED // n)))
-            lost = self._lost(points, few) / np.float32(block)
-        with self._stage("blur"):
-            out, missing = blur(points, pixels, light + lost, self.extent, self.threads)
-        with self._stage("missing shares"):
-            rest = missing_shares(points, pixels, missing)
-            _add_pairs(rest.point, self._shade(points, rest, None) + lost[rest.point], out)
+            few = max(-(-self.compensation // self.interleave**2), min(self.compensation, -(-LEAST_GATHERED // n)))
+            if few:
+                out += blur(points, pixels, self._lost(points, few), self.extent, self.threads)
         return out
+
+    def _part(self, part: int, parts: int) -> SharedLights:
+        """Every `parts`-th VPL."""
+        lights = self.lights
+        if parts == 1:
+            return lights
+        at = np.arange(part, len(lights.val), parts)
+        first = (np.arange(len(lights.first)) * len(at) // (len(lights.first) - 1)).astype(np.int32)
+        return lights._replace(vpls=lights.vpls.take(at), val=lights.val[at], first=first)
+
+    def _see(
+        self, points: ShadingPoints, pixels: Pixels, own: Batches, lights: SharedLights, progress: Progress | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What points see of the VPLs of their own shares (N, K) uint8 and pi times their light (N,), both by pixel."""
+        n = len(points.pixel)
+        each = -(-int(np.diff(lights.first).max()) // 8) * 8
+        seen, light = np.empty((n, each), np.uint8), np.empty(n, np.float32)
+        place = np.empty(n, np.int32)
+        place[pixels.order] = np.arange(n, dtype=np.int32)
+
+        def work(begin, end):
+            return _see(
+                self.scene, lights, self.maps, points, place, own.point, own.first, own.share,
+                begin, end, self.g_max, np.float32(NEAR * self.g_max), self.cutouts, seen, light,
+            )  # fmt: skip
+
+        self.rays += sum(run_chunks(work, len(own.share), BATCHES, self.threads, progress))
+        return seen, light
 
     def _shade(self, points: ShadingPoints, batches: Batches, progress: Progress | None) -> np.ndarray:
         """Light (P, 3) of pairs of a point and a share of the VPLs."""
@@ -315,6 +398,17 @@ class VirtualAreaLights:
             depth = self.depth[k][rows[:, None], columns]
             pictures[f"AreaLightDepth{rank}"] = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))[..., None]
         return pictures
+
+
+def _columns(lights: SharedLights, each: int) -> np.ndarray:
+    """What `gather` reads of the VPLs, (11, S * each) float32, those of share s from each * s on."""
+    vpls, first = lights.vpls, lights.first
+    columns = np.zeros((11, (len(first) - 1) * each), np.float32)
+    share = np.repeat(np.arange(len(first) - 1), np.diff(first))
+    at = share * each + np.arange(len(share)) - first[share]
+    columns[0:3, at], columns[3:6, at], columns[6:9, at] = vpls.position.T, vpls.normal.T, vpls.flux.T * _INV_PI
+    columns[9], columns[10, at] = columns[6:9].mean(axis=0), vpls.error
+    return columns
 
 
 @kernel

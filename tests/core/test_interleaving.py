@@ -1,9 +1,9 @@
-"""Interleaved sampling: every share of the VPLs reaches every point, whatever the shares hold."""
+"""Interleaved sampling: every share of the VPLs is a pixel's of every block, and blurring keeps to surfaces."""
 
 import numpy as np
 import pytest
 
-from lumigate.core.methods.interleaving import batches, blur, missing_shares, own_shares, pixels_of
+from lumigate.core.methods.interleaving import batches, blur, own_shares, pixels_of, shares_of_residues
 from lumigate.core.view.points import ShadingPoints
 
 
@@ -22,33 +22,39 @@ def picture(width, height, edge=None):
     return points, wall
 
 
-@pytest.mark.parametrize("interleave", [2, 3, 8])
-@pytest.mark.parametrize("edge", [None, 21])
-def test_sum_over_shares_has_no_pattern(interleave, edge):
-    points, wall = picture(40, 32, edge)
+@pytest.mark.parametrize("interleave", range(1, 9))
+def test_a_block_holds_every_share_once(interleave):
+    points, _ = picture(40, 32)
     pixels = pixels_of(points, 40, interleave)
     own = own_shares(points, pixels)
-    of_share = np.random.default_rng(0).uniform(0, 9, (interleave**2, 2, 3)).astype(np.float32)
-    light = np.zeros((len(wall), 3), np.float32)
-    light[own.point] = of_share[np.repeat(own.share, np.diff(own.first)), wall[own.point].astype(int)]
-    out, missing = blur(points, pixels, light, 100.0)
-    assert not missing.any()  # what lacks at the edge is found a block further on
-    expected = of_share.sum(axis=0)[wall.astype(int)]
-    assert np.allclose(out, expected, rtol=1e-5)
+    share = np.empty(len(points.pixel), int)
+    share[own.point] = np.repeat(own.share, np.diff(own.first))
+    share = share.reshape(32, 40)
+    for y, x in ((0, 0), (3, 5)):
+        assert np.array_equal(np.sort(share[y : y + interleave, x : x + interleave].ravel()), np.arange(interleave**2))
+    for s in range(interleave**2):
+        assert share[pixels.down[s], pixels.across[s]] == s
+    assert np.array_equal(np.sort(shares_of_residues(interleave)), np.arange(interleave**2))
 
 
-def test_lonely_points_miss_all_other_shares():
+@pytest.mark.parametrize("interleave", [2, 3, 8])
+@pytest.mark.parametrize("edge", [None, 21])
+def test_blur_against_means(interleave, edge):
+    points, wall = picture(40, 32, edge)
+    values = np.random.default_rng(0).uniform(0, 9, (len(wall), 3)).astype(np.float32)
+    found = blur(points, pixels_of(points, 40, interleave), values, 100.0)
+    x, y = points.pixel % 40, points.pixel // 40
+    before, after = interleave // 2, interleave - interleave // 2
+    for i in range(0, len(wall), 37):
+        window = (x >= x[i] - before) & (x < x[i] + after) & (y >= y[i] - before) & (y < y[i] + after) & (wall == wall[i])
+        assert np.allclose(found[i], values[window].mean(axis=0), rtol=1e-5)
+
+
+def test_points_far_apart_keep_what_they_have():
     points, _ = picture(16, 16)
     points.position[:] *= 1000  # farther apart than the blur reaches
-    pixels = pixels_of(points, 16, 4)
-    out, missing = blur(points, pixels, np.ones((256, 3), np.float32), 1.0)
-    assert np.allclose(out, 1)
-    rest = missing_shares(points, pixels, missing)
-    assert len(rest.point) == 256 * 15
-    x, y = points.pixel % 16, points.pixel // 16
-    share = np.repeat(rest.share, np.diff(rest.first))
-    assert (share != (y % 4 * 4 + x % 4)[rest.point]).all()
-    assert len(np.unique(rest.point.astype(np.int64) * 16 + share)) == len(rest.point)
+    values = np.random.default_rng(1).uniform(0, 9, (256, 3)).astype(np.float32)
+    assert np.array_equal(blur(points, pixels_of(points, 16, 4), values, 1.0), values)
 
 
 def test_batches_hold_every_pair_once():

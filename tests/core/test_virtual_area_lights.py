@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lumigate.core.lamps import build_emitters
+from lumigate.core.methods import virtual_area_lights
 from lumigate.core.methods.instant_radiosity import InstantRadiosity
 from lumigate.core.methods.virtual_area_lights import VirtualAreaLights, map_origins, wanted_area_lights
 from lumigate.core.metrics import relmse
@@ -97,6 +98,13 @@ def test_interleaving_changes_little(room, points, vpls, exact):
 def test_same_bits_for_any_number_of_threads(room, points, vpls):
     a, b = (solve(room, points, vpls, vals=12, width=WIDTH, threads=threads)[1] for threads in (1, 3))
     assert np.array_equal(a, b)
+
+
+def test_more_vpls_than_memory_for_what_is_seen_of_them(room, points, vpls, exact, monkeypatch):
+    monkeypatch.setattr(virtual_area_lights, "MOST_SEEN", 1 << 13)
+    _, got = solve(room, points, vpls, vals=30, width=WIDTH)
+    assert error(got, exact) < 0.01
+    assert got.mean() == pytest.approx(exact.mean(), rel=0.03)
 
 
 def test_a_centre_inside_geometry_is_left(build):

@@ -29,7 +29,7 @@ def test_cornell_box_against_shadow_rays(interleave, bound):
 def test_rows_of_a_small_view():
     rows = vals_rows((("Cornell box", "cornell"),), (32, 32), (24, 24), 64, (4, 16), 1, 2, 128)
     cases = [row["case"] for row in rows]
-    assert len(set(cases)) == len(cases) == 4 + 8 + 1 + 3
+    assert len(set(cases)) == len(cases) == 4 + 7 + 2 + 3
     assert all(row["suite"] == "vals" and np.isfinite(row["value"]) for row in rows)
     assert vals_rows((("nowhere", "nowhere/scene.blend"),), frames=0)[0]["case"].startswith("area lamp")
 
