@@ -198,6 +198,23 @@ class RenderSettings:
         ),
         method="visibility-gates",
     )
+    gate_size: float = option(
+        1.0,
+        "Gate Size",
+        "Factor on the size of disks and polygons: more than 1 lets in light that disks are too small for, and some that is hidden",
+        least=0.1,
+        most=10,
+        usual=2,
+        method="visibility-gates",
+    )
+    gate_filter: int = option(
+        4,
+        "Gate Filter",
+        "Voxels over which light is blended along surfaces where visibility clusters meet, 0 for none; guided rays need none",
+        most=64,
+        usual=16,
+        method="visibility-gates",
+    )
 
     # importance sampling; gather: of the compensation, too
     samples: int = option(

@@ -384,7 +384,8 @@ def _solver(run: Run, settings: RenderSettings, width: int | None, threads: int,
         )
         return run.clusters
     if run.topology is not None:
-        run.clusters = VisibilityGates(run.topology, gates=settings.gates, compensation=compensation, **common)
+        gates = {"gates": settings.gates, "oversize": settings.gate_size, "blend": settings.gate_filter}
+        run.clusters = VisibilityGates(run.topology, **gates, compensation=compensation, **common)
         return run.clusters
     if settings.visibility == "shadow-maps":
         return ShadowMappedRadiosity(seed=settings.seed, threads=threads)

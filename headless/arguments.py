@@ -156,6 +156,12 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
                 "help": "between visibility clusters; guided: shadow rays where the topology is not certain (default: guided)",
             },
         ),
+        OwnOption("--gate-size", "gate_size", {"type": positive, "metavar": "F", "help": "factor on the size of the gates (default: 1)"}),
+        OwnOption(
+            "--gate-filter",
+            "gate_filter",
+            {"type": size_or_none, "metavar": "V", "help": "voxels to blend over where visibility clusters meet, 0 for none (default: 4)"},
+        ),
     ),
     "importance-sampling": (
         OwnOption("--samples", "samples", {"type": count, "metavar": "N", "help": "shadow rays a shading point (default: 8)"}),

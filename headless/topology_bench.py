@@ -45,6 +45,7 @@ STAND_IN = "atrium"  # where Sponza is not there
 VOXELS = 256
 ERROR_VPLS = 1024
 OVERSIZE = 1.5
+FILTER = RenderSettings().gate_filter
 PICTURE, PICTURE_VOXELS = (400, 225), 128
 
 
@@ -148,9 +149,11 @@ def _compared(scene: Scene, count: int) -> Iterator[tuple[LitView, np.ndarray, f
         yield lit, irradiance, time.process_time() - begin
 
 
-def _gates(lit: LitView, topology: Topology, gates: str, oversize: float = 1.0) -> tuple[VisibilityGates, np.ndarray, float]:
+def _gates(
+    lit: LitView, topology: Topology, gates: str, oversize: float = 1.0, blend: float = 0.0
+) -> tuple[VisibilityGates, np.ndarray, float]:
     """The solver, its light, and its CPU seconds."""
-    solver = VisibilityGates(topology, gates=gates, oversize=oversize, compensation=0)
+    solver = VisibilityGates(topology, gates=gates, oversize=oversize, blend=blend, compensation=0)
     solver.prepare(lit.tables, lit.vpls, lit.points)
     solver.irradiance(lit.points.take(slice(0, 64)))  # compiles
     solver.rays = solver.pairs = solver.saved = 0
@@ -172,6 +175,7 @@ def error_rows(scene: Scene, topology: Topology, vpls: int) -> list[dict]:
             light = {"direct only": 0 * truth, "no shadows": blind.irradiance(lit.points)}
             light |= {gates: _gates(lit, topology, gates)[1] for gates in ("off", "disks", "polygons", "guided")}
             light[f"disks, {OVERSIZE} times as large"] = _gates(lit, topology, "disks", OVERSIZE)[1]
+            light |= {f"{gates}, filtered": _gates(lit, topology, gates, blend=FILTER)[1] for gates in ("disks", "polygons")}
             mse = partial(_displayed_mse, lit, direct, truth)
             none = mse(light["no shadows"])
             for name, irradiance in light.items():

@@ -15,7 +15,7 @@ from .segmentation import Segmented
 from .skeleton import Skeleton
 from .voxels import Grid
 
-VERSION = 3  # of what is built from the same triangles
+VERSION = 4  # of what is built from the same triangles
 _PARTS = {"grid": Grid, "skeleton": Skeleton, "segmented": Segmented, "disks": Gates, "polygons": Gates}
 
 
