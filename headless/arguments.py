@@ -301,7 +301,9 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
         metavar="R",
         help="of the topology, along the longest side (default: %(default)s)",
     )
-    inspect.add_argument("--skeleton", type=output_file(".obj"), metavar="FILE.obj", help="write skeleton and gates to look at")
+    inspect.add_argument(
+        "--skeleton", type=output_file(".obj"), metavar="FILE.obj", help="write skeleton, balls of the clusters, and gates to look at"
+    )
 
     bench = commands.add_parser("bench", help="speed and errors, measured on this machine; a run that was broken off goes on")
     bench.add_argument("suite", nargs="?", default=SUITES[0], choices=SUITES, metavar="SUITE", help="%(choices)s (default: %(default)s)")
