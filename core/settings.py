@@ -186,6 +186,22 @@ class RenderSettings:
 
     # visibility gates
     voxels: int = option(128, "Voxels", "Along the scene's longest side", least=8, most=1024, usual=512, method="visibility-gates")
+    outside: str = option(
+        "closed",
+        "Outside",
+        "What the topology takes to be beyond the scene's bounding box",
+        choices=(
+            Choice("closed", "Closed", "Solid: the box is the last wall"),
+            Choice("open", "Open", "Empty space that goes on"),
+        ),
+        method="visibility-gates",
+    )
+    cutouts: bool = option(
+        False,
+        "Cut-outs as Walls",
+        "What lets light through, as leaves cut out of pictures and glass, is a wall to the topology",
+        method="visibility-gates",
+    )
     gates: str = option(
         "guided",
         "Gates",

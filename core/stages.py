@@ -148,7 +148,8 @@ def prepared(run: Run, scene: Scene, settings: RenderSettings, threads: int, top
             tables = without_reflection(transport(scene.geometry, materials, rays.tables, emitters), run.black)
         if settings.method == "visibility-gates":
             with run.stage("topology"):
-                run.topology = topologies.of(scene, settings.voxels, threads)
+                space = {"closed": settings.outside == "closed", "cutouts": settings.cutouts}
+                run.topology = topologies.of(scene, settings.voxels, threads, **space)
         yield tables
 
 

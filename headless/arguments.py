@@ -149,6 +149,16 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
     "visibility-gates": (
         OwnOption("--voxels", "voxels", {"type": count, "metavar": "R", "help": "voxels along the scene's longest side (default: 128)"}),
         OwnOption(
+            "--outside",
+            "outside",
+            {"choices": ("closed", "open"), "help": "of the scene's bounding box, to the topology: solid or empty (default: closed)"},
+        ),
+        OwnOption(
+            "--cutouts",
+            "cutouts",
+            {"action": "store_const", "const": True, "help": "cut-outs and glass are walls to the topology, too"},
+        ),
+        OwnOption(
             "--gates",
             "gates",
             {
@@ -301,6 +311,10 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
         metavar="R",
         help="of the topology, along the longest side (default: %(default)s)",
     )
+    inspect.add_argument(
+        "--outside", choices=("closed", "open"), default=RenderSettings.outside, help="as of render (default: %(default)s)"
+    )
+    inspect.add_argument("--cutouts", action="store_true", help="as of render")
     inspect.add_argument(
         "--skeleton", type=output_file(".obj"), metavar="FILE.obj", help="write skeleton, balls of the clusters, and gates to look at"
     )

@@ -78,12 +78,12 @@ def _at(values: np.ndarray, index: np.ndarray) -> np.ndarray:
     return np.where(index >= 0, np.append(values, SOLID)[index], SOLID).astype(np.int32)
 
 
-def blocking_triangles(scene: Scene) -> np.ndarray:
-    """(T', 3) int32: the triangles that stop diffuse light; what lets some of it through is no wall."""
+def blocking_triangles(scene: Scene, cutouts: bool = False) -> np.ndarray:
+    """(T', 3) int32: the triangles that stop diffuse light; what lets some of it through is a wall only with `cutouts`."""
     geometry = scene.geometry
     through = (scene.materials.tables.flags[geometry.material] & TRANSPARENT) != 0
     met = (geometry.object_visibility[geometry.object] & DIFFUSE) != 0
-    return geometry.triangles[met & ~through]
+    return geometry.triangles[met if cutouts else met & ~through]
 
 
 def build_topology(

@@ -190,6 +190,18 @@ def test_cut_outs_are_no_walls(build):
     scene.materials = stuff
     scene.geometry.material[12:] = 1
     assert Topologies().of(scene, 82).rooms == 1
+    assert Topologies().of(scene, 82, cutouts=True).rooms == 2
+
+
+def test_an_open_outside_joins_what_leads_out(build):
+    # A sheet on the floor of its own box: closed, the space above and below it are apart; open, both lead out.
+    vertices = np.float32([[0, 0, 0], [4, 0, 0], [0, 4, 0], [4, 4, 0], [0, 0, 2], [0, 0, -2]])
+    scene = build.scene(build.geometry(vertices, np.int32([[0, 1, 2], [1, 3, 2], [4, 4, 4], [5, 5, 5]])), build.materials((0.6, 0.0)))
+    known = Topologies()
+    closed, open_ = known.of(scene, 16), known.of(scene, 16, closed=False)
+    assert closed.rooms == 2 and open_ is not closed
+    points = _points(np.float32([[2, 2, 0]]), np.float32([[0, 0, 1]]))
+    assert rooms_seen(open_, points).any()
 
 
 def test_the_debug_layers_number_the_clusters(build):
