@@ -48,7 +48,7 @@ def _property(field: Field):
         bounds = {"min": shown.least, "max": shown.most, "soft_max": usual, "precision": 2 if shown.unit else 4}
         # Blender's TIME_ABSOLUTE is in seconds; plain numbers have no unit.
         unit = {"s": "TIME_ABSOLUTE", "": "NONE"}[shown.unit]
-        return bpy.props.FloatProperty(default=_GOAL_DEFAULTS[field.name], unit=unit, **bounds, **words)
+        return bpy.props.FloatProperty(default=_GOAL_DEFAULTS.get(field.name, field.default), unit=unit, **bounds, **words)
     bounds = {"max": int(shown.most), "soft_max": int(usual)}
     if optional:
         words["description"] += f"; {_AUTOMATIC} leaves it to the method"

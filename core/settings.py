@@ -186,6 +186,22 @@ class RenderSettings:
 
     # visibility gates
     voxels: int = option(128, "Voxels", "Along the scene's longest side", least=8, most=1024, usual=512, method="visibility-gates")
+    outside: str = option(
+        "closed",
+        "Outside",
+        "What the topology takes to be beyond the scene's bounding box",
+        choices=(
+            Choice("closed", "Closed", "Solid: the box is the last wall"),
+            Choice("open", "Open", "Empty space that goes on"),
+        ),
+        method="visibility-gates",
+    )
+    cutouts: bool = option(
+        False,
+        "Cut-outs as Walls",
+        "What lets light through, as leaves cut out of pictures and glass, is a wall to the topology",
+        method="visibility-gates",
+    )
     gates: str = option(
         "guided",
         "Gates",
@@ -196,6 +212,23 @@ class RenderSettings:
             Choice("disks", "Disks", "Through disks, as in the paper"),
             Choice("off", "Off", "Within each cluster, everything; beyond it, nothing"),
         ),
+        method="visibility-gates",
+    )
+    gate_size: float = option(
+        1.0,
+        "Gate Size",
+        "Factor on the size of disks and polygons: more than 1 lets in light that disks are too small for, and some that is hidden",
+        least=0.1,
+        most=10,
+        usual=2,
+        method="visibility-gates",
+    )
+    gate_filter: int = option(
+        4,
+        "Gate Filter",
+        "Voxels over which light is blended along surfaces where visibility clusters meet, 0 for none; guided rays need none",
+        most=64,
+        usual=16,
         method="visibility-gates",
     )
 

@@ -148,7 +148,8 @@ def prepared(run: Run, scene: Scene, settings: RenderSettings, threads: int, top
             tables = without_reflection(transport(scene.geometry, materials, rays.tables, emitters), run.black)
         if settings.method == "visibility-gates":
             with run.stage("topology"):
-                run.topology = topologies.of(scene, settings.voxels, threads)
+                space = {"closed": settings.outside == "closed", "cutouts": settings.cutouts}
+                run.topology = topologies.of(scene, settings.voxels, threads, **space)
         yield tables
 
 
@@ -384,7 +385,8 @@ def _solver(run: Run, settings: RenderSettings, width: int | None, threads: int,
         )
         return run.clusters
     if run.topology is not None:
-        run.clusters = VisibilityGates(run.topology, gates=settings.gates, compensation=compensation, **common)
+        gates = {"gates": settings.gates, "oversize": settings.gate_size, "blend": settings.gate_filter}
+        run.clusters = VisibilityGates(run.topology, **gates, compensation=compensation, **common)
         return run.clusters
     if settings.visibility == "shadow-maps":
         return ShadowMappedRadiosity(seed=settings.seed, threads=threads)

@@ -149,12 +149,28 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
     "visibility-gates": (
         OwnOption("--voxels", "voxels", {"type": count, "metavar": "R", "help": "voxels along the scene's longest side (default: 128)"}),
         OwnOption(
+            "--outside",
+            "outside",
+            {"choices": ("closed", "open"), "help": "of the scene's bounding box, to the topology: solid or empty (default: closed)"},
+        ),
+        OwnOption(
+            "--cutouts",
+            "cutouts",
+            {"action": "store_const", "const": True, "help": "cut-outs and glass are walls to the topology, too"},
+        ),
+        OwnOption(
             "--gates",
             "gates",
             {
                 "choices": ("disks", "polygons", "off", "guided"),
                 "help": "between visibility clusters; guided: shadow rays where the topology is not certain (default: guided)",
             },
+        ),
+        OwnOption("--gate-size", "gate_size", {"type": positive, "metavar": "F", "help": "factor on the size of the gates (default: 1)"}),
+        OwnOption(
+            "--gate-filter",
+            "gate_filter",
+            {"type": size_or_none, "metavar": "V", "help": "voxels to blend over where visibility clusters meet, 0 for none (default: 4)"},
         ),
     ),
     "importance-sampling": (
@@ -295,7 +311,13 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
         metavar="R",
         help="of the topology, along the longest side (default: %(default)s)",
     )
-    inspect.add_argument("--skeleton", type=output_file(".obj"), metavar="FILE.obj", help="write skeleton and gates to look at")
+    inspect.add_argument(
+        "--outside", choices=("closed", "open"), default=RenderSettings.outside, help="as of render (default: %(default)s)"
+    )
+    inspect.add_argument("--cutouts", action="store_true", help="as of render")
+    inspect.add_argument(
+        "--skeleton", type=output_file(".obj"), metavar="FILE.obj", help="write skeleton, balls of the clusters, and gates to look at"
+    )
 
     bench = commands.add_parser("bench", help="speed and errors, measured on this machine; a run that was broken off goes on")
     bench.add_argument("suite", nargs="?", default=SUITES[0], choices=SUITES, metavar="SUITE", help="%(choices)s (default: %(default)s)")

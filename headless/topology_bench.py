@@ -18,9 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from ..core.lamps import direct_irradiance, world_tables
-from ..core.layers import auto_exposure, srgb
+from ..core.layers import auto_exposure, srgb, write_png
 from ..core.methods.instant_radiosity import InstantRadiosity
 from ..core.methods.visibility_gates import VisibilityGates
+from ..core.picture import splat
 from ..core.pipeline import render
 from ..core.scene import Scene
 from ..core.settings import RenderSettings
@@ -45,6 +46,8 @@ STAND_IN = "atrium"  # where Sponza is not there
 VOXELS = 256
 ERROR_VPLS = 1024
 OVERSIZE = 1.5
+FILTER = RenderSettings().gate_filter
+PICTURED = ("no shadows", "disks", "polygons, filtered")
 PICTURE, PICTURE_VOXELS = (400, 225), 128
 
 
@@ -63,7 +66,7 @@ def topology_rows(
     rows = thinning_rows(sponza, resolutions)
     known = Topologies()
     topology = known.of(sponza, voxels)
-    rows += error_rows(_sized(sponza, error_size), topology, ERROR_VPLS)
+    rows += error_rows(_sized(sponza, error_size), topology, ERROR_VPLS, folder / "topology-visibility.png")
     rows += stage_rows(sponza, topology, vpls)
     for name in guided:
         scene = _extract(name, error_size)
@@ -148,9 +151,11 @@ def _compared(scene: Scene, count: int) -> Iterator[tuple[LitView, np.ndarray, f
         yield lit, irradiance, time.process_time() - begin
 
 
-def _gates(lit: LitView, topology: Topology, gates: str, oversize: float = 1.0) -> tuple[VisibilityGates, np.ndarray, float]:
+def _gates(
+    lit: LitView, topology: Topology, gates: str, oversize: float = 1.0, blend: float = 0.0
+) -> tuple[VisibilityGates, np.ndarray, float]:
     """The solver, its light, and its CPU seconds."""
-    solver = VisibilityGates(topology, gates=gates, oversize=oversize, compensation=0)
+    solver = VisibilityGates(topology, gates=gates, oversize=oversize, blend=blend, compensation=0)
     solver.prepare(lit.tables, lit.vpls, lit.points)
     solver.irradiance(lit.points.take(slice(0, 64)))  # compiles
     solver.rays = solver.pairs = solver.saved = 0
@@ -159,9 +164,12 @@ def _gates(lit: LitView, topology: Topology, gates: str, oversize: float = 1.0) 
     return solver, irradiance, time.process_time() - begin
 
 
-def error_rows(scene: Scene, topology: Topology, vpls: int) -> list[dict]:
-    """Table 2: mean squared error of the displayed picture (values 0..255) against shadow rays of the same VPLs."""
-    rows = []
+def error_rows(scene: Scene, topology: Topology, vpls: int, picture: Path | None = None) -> list[dict]:
+    """Table 2: mean squared error of the displayed picture (values 0..255) against shadow rays of the same VPLs.
+
+    picture: where to show the first and the last outlook, by shadow rays and by each of PICTURED.
+    """
+    rows, strips = [], []
     for number, outlook in enumerate(SPONZA):
         with _compared(outlook.of(scene), vpls) as (lit, truth, _):
             if not truth.any():
@@ -172,19 +180,29 @@ def error_rows(scene: Scene, topology: Topology, vpls: int) -> list[dict]:
             light = {"direct only": 0 * truth, "no shadows": blind.irradiance(lit.points)}
             light |= {gates: _gates(lit, topology, gates)[1] for gates in ("off", "disks", "polygons", "guided")}
             light[f"disks, {OVERSIZE} times as large"] = _gates(lit, topology, "disks", OVERSIZE)[1]
+            light |= {f"{gates}, filtered": _gates(lit, topology, gates, blend=FILTER)[1] for gates in ("disks", "polygons")}
             mse = partial(_displayed_mse, lit, direct, truth)
+            shown = (_displayed(lit, direct, truth, irradiance) for irradiance in (truth, *(light[name] for name in PICTURED)))
+            strips.append(np.concatenate([splat(lit.points, one, lit.shape) for one in shown], axis=1))
             none = mse(light["no shadows"])
             for name, irradiance in light.items():
                 paper = PAPER_ERRORS.get(name, (None, None))[number % 2]
                 row = _row(f"{outlook.name}, {name}: MSE", mse(irradiance), "1", paper)
                 rows.append(row | {"of_no_shadows": row["value"] / none, "bias": float(irradiance.mean() / truth.mean() - 1)})
+    if picture is not None and strips:
+        write_png(picture, np.concatenate([strips[0], strips[-1]]))
     return rows
 
 
-def _displayed_mse(lit: LitView, direct: np.ndarray, truth: np.ndarray, irradiance: np.ndarray) -> float:
+def _displayed(lit: LitView, direct: np.ndarray, truth: np.ndarray, irradiance: np.ndarray) -> np.ndarray:
+    """Values (N, 3) of 0 to 1 that a screen shows of the points' light, exposed as `truth` is."""
     scale = lit.points.albedo / np.float32(np.pi)
     stops = np.float32(2.0 ** auto_exposure([scale * (direct + truth)]))
-    shown, true = (255 * srgb(scale * (direct + light) * stops) for light in (irradiance, truth))
+    return srgb(scale * (direct + irradiance) * stops)
+
+
+def _displayed_mse(lit: LitView, direct: np.ndarray, truth: np.ndarray, irradiance: np.ndarray) -> float:
+    shown, true = (255 * _displayed(lit, direct, truth, light) for light in (irradiance, truth))
     return float(np.mean((shown - true) ** 2))
 
 

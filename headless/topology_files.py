@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import platformdirs
+import scipy
 
 from ..core.errors import SceneError
 from ..core.layers import write_whole
-from ..core.topology import Gates, Topologies, Topology
+from ..core.topology import Topologies, Topology
 from ..core.topology.store import from_arrays, to_arrays
+from .debug_pictures import id_colours
 
 KEPT = 12  # files; the ones used longest ago go first
 
@@ -61,9 +63,10 @@ class StoredTopologies(Topologies):
 
 
 def write_obj(path: Path, topology: Topology, origin: np.ndarray) -> None:
-    """The skeleton's arcs, the segmented edges and the gates as a Wavefront OBJ file; SceneError where it cannot be written.
+    """Skeleton, segments, gates, and the balls of each visibility cluster as a Wavefront OBJ file; SceneError where it cannot be written.
 
-    origin: (3,) of the scene, so that the file lies where the scene does.  Blender's importer takes z up and y forward.
+    origin: (3,) of the scene, so that the file lies where the scene does.  Blender's importer takes z up and y forward.  Balls are objects of
+    their own by cluster, in its colour.
     """
     grid, skeleton, segmented = topology.grid, topology.skeleton, topology.segmented
     lines = ["# Lumigate: skeleton of the empty space; z is up"]
@@ -74,16 +77,36 @@ def write_obj(path: Path, topology: Topology, origin: np.ndarray) -> None:
     count = len(at)
     for name, gates in (("disks", topology.disks), ("polygons", topology.polygons)):
         lines.append(f"o {name}")
-        for outline in _outlines(gates) + origin:
+        for outline in gates.outlines().astype(np.float64) + origin:
             lines += [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in outline]
             lines.append("f " + " ".join(str(count + k + 1) for k in range(len(outline))))
             count += len(outline)
+    colours = id_colours(np.arange(1, topology.clusters + 1)[None])[0]
+    for cluster, colour in enumerate(colours):
+        lines.append(f"o balls_of_cluster_{cluster}")
+        shade = " ".join(f"{c:.3f}" for c in colour)
+        for node in segmented.node[topology.cluster == cluster]:
+            corners = at[node] + _BALL[0] * (grid.size * skeleton.radius[node])
+            lines += [f"v {x:.5f} {y:.5f} {z:.5f} {shade}" for x, y, z in corners]
+            lines += ["f " + " ".join(str(count + k + 1) for k in face) for face in _BALL[1]]
+            count += len(corners)
     text = "\n".join(lines) + "\n"
     write_whole(path, lambda partial: partial.write_text(text, encoding="ascii"))
 
 
-def _outlines(gates: Gates) -> np.ndarray:
-    return gates.outlines().astype(np.float64)
+def _icosahedron() -> tuple[np.ndarray, np.ndarray]:
+    """Corners (12, 3) at a distance of 1, and faces (20, 3): the stand-in of a ball."""
+    golden = (1 + np.sqrt(5)) / 2
+    corners = np.array([np.roll((0, a, b * golden), k) for k in range(3) for a in (-1, 1) for b in (-1, 1)])
+    hull = scipy.spatial.ConvexHull(corners)
+    outwards = np.einsum(
+        "fc,fc->f", np.cross(*(corners[hull.simplices[:, k]] - corners[hull.simplices[:, 0]] for k in (1, 2))), hull.equations[:, :3]
+    )
+    faces = np.where(outwards[:, None] > 0, hull.simplices, hull.simplices[:, ::-1])
+    return corners / np.linalg.norm(corners[0]), faces
+
+
+_BALL = _icosahedron()
 
 
 def summary(topology: Topology) -> dict:

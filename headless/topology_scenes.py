@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, fields, replace
 
 import numpy as np
 
@@ -58,9 +58,10 @@ def look_at(eye, target) -> np.ndarray:
 
 def point_lamp(position, intensity: float) -> Lamps:
     """One point lamp of a radiant intensity (W/sr)."""
-    one = Lamps.empty()
-    arrays = {name: np.zeros((1, *value.shape[1:]), value.dtype) for name, value in vars(one).items() if isinstance(value, np.ndarray)}
-    lamp = Lamps(**(vars(one) | arrays | {"names": ["lamp"], "groups": [""]}))
+    one = vars(Lamps.empty())
+    # What may be None stands for no program and no set of objects: zeros would name the first of each.
+    required = [field.name for field in fields(Lamps) if field.default is MISSING and isinstance(one[field.name], np.ndarray)]
+    lamp = Lamps(**{name: np.zeros((1, *one[name].shape[1:]), one[name].dtype) for name in required}, names=["lamp"], groups=[""])
     lamp.kind[:], lamp.position[:], lamp.axes[:] = POINT, position, np.eye(3)
     lamp.emission[:], lamp.visibility[:], lamp.cast_shadow[:] = intensity, ALL_RAYS, 1
     return lamp

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import inlined, kernel
 from ..particles import Vpls
 from ..rays.order import morton_order
 from ..topology import SOLID, Gates, gates_by_cluster
@@ -21,7 +21,9 @@ POINTS = 64  # of a geometry cluster at most
 LANES = 16  # VPLs of a block at most, bits of a mask
 GROUP = 16  # geometry clusters that are tested together first
 NO_GATE = -1  # VPL and points are in the same visibility cluster
-ENTRANCE = 1 << 30  # on the number of a gate of the points' cluster, which comes after those of the VPL's
+LEAVING = 1 << 29  # on the number of a gate by which a line leaves the VPL's cluster, if it also enters the points' by one
+ENTERING = 1 << 30  # on the number of such a gate of the points' cluster
+NUMBER = LEAVING - 1  # the bits of the gate itself
 _ALL = np.uint32((1 << LANES) - 1)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -56,7 +58,7 @@ class GateTable(NamedTuple):
 
     first: (clusters + 1,) int32; of: (2 G,) int32, the gates of a cluster.  gates: `Gates`.
     sight: (clusters, clusters) bool, between which a straight line may pass at all.
-    polygons: whether they are polygons.  These are what the openings are, so that light must pass one of the points' cluster, too.
+    polygons: whether they are polygons.  These are what the openings are, so that light that leaves by one must enter by another, too.
     """
 
     first: np.ndarray
@@ -69,8 +71,8 @@ class GateTable(NamedTuple):
 class Lists(NamedTuple):
     """What may light each of R geometry clusters, block by block.
 
-    first: (R + 1,) int64.  block, gate: (I,) int32, NO_GATE where no gate lies between; the gates of the points' cluster, by which
-    light enters, are marked with ENTRANCE and follow those by which it leaves.  mask: (I,) uint32, VPLs of the block.
+    first: (R + 1,) int64.  block, gate: (I,) int32: NO_GATE where no gate lies between; gates that let light in alone; then sets of gates
+    marked with LEAVING and with ENTERING, of one of which a line passes one of each.  mask: (I,) uint32, VPLs of the block.
     """
 
     first: np.ndarray
@@ -167,6 +169,12 @@ def _group_sphere(runs, begin, end):
     return x, y, z, radius
 
 
+@inlined
+def _beyond(table, cluster, gate):
+    """The other cluster that a gate of `cluster` joins."""
+    return table.gates.clusters[gate, 0] + table.gates.clusters[gate, 1] - cluster
+
+
 @kernel
 def _candidates(lights, table, cones, cluster, sx, sy, sz, radius, block, gate):
     """Pairs of a block and a gate that may light a ball of points of one cluster; their number."""
@@ -180,6 +188,8 @@ def _candidates(lights, table, cones, cluster, sx, sy, sz, radius, block, gate):
         if not table.sight[c, cluster]:
             continue
         for k in range(table.first[c], table.first[c + 1]):
+            if not table.sight[_beyond(table, c, table.of[k]), cluster]:
+                continue
             cone = cones[b, k - table.first[c]]
             if ball_meets(cone[0], cone[1], cone[2], cone[3], cone[4], cone[5], cone[6], cone[7], sx, sy, sz, radius):
                 block[n], gate[n] = b, table.of[k]
@@ -207,28 +217,74 @@ def _list_block(runs, r, lights, table, block, gates, entrances, found_gate, fou
     """What joins a block to a geometry cluster: gates and masks into `found_gate`, `found_mask`; their number, 0 if nothing does.
 
     gates: of the block's cluster, candidates, or NO_GATE alone.  entrances: cones through the gates of the points' cluster.
+    Polygons are listed by the shortest ways: a single gate, then pairs by one cluster between, and only where there is none longer ones.
     """
     if gates[0] == NO_GATE:
         found_gate[0], found_mask[0] = NO_GATE, _ALL
         return 1
-    n = 0
+    blocks, own, cluster = lights.blocks, lights.blocks.cluster[block], runs.cluster[r]
+    leaving = np.empty(len(gates), np.int64)
+    masks = np.empty(len(gates), np.uint32)
+    alone = ways = 0
     for g in gates:
         mask = _lanes_through(lights, block, table.gates, g, runs.centre[r, 0], runs.centre[r, 1], runs.centre[r, 2], runs.radius[r])
-        if mask:
-            found_gate[n], found_mask[n] = g, mask
-            n += 1
-    if n == 0 or not table.polygons:
-        return n
-    blocks, leaving = lights.blocks, n
+        if not mask:
+            continue
+        if not table.polygons or _beyond(table, own, g) == cluster:
+            found_gate[alone], found_mask[alone] = g, mask
+            alone += 1
+        else:
+            leaving[ways], masks[ways] = g, mask
+            ways += 1
+    if ways == 0:
+        return alone
+    entering, entries = np.empty(len(entrances), np.int64), 0
     for k in range(len(entrances)):
-        cone = entrances[k]
-        if ball_meets(
+        g, cone = table.of[table.first[cluster] + k], entrances[k]
+        before = _beyond(table, cluster, g)
+        if before != own and table.sight[own, before] and ball_meets(
             cone[0], cone[1], cone[2], cone[3], cone[4], cone[5], cone[6], cone[7],
             blocks.centre[block, 0], blocks.centre[block, 1], blocks.centre[block, 2], blocks.radius[block],
         ):  # fmt: skip
-            found_gate[n], found_mask[n] = table.of[table.first[runs.cluster[r]] + k] | ENTRANCE, _ALL
-            n += 1
-    return n if n > leaving else 0
+            entering[entries] = g
+            entries += 1
+    n = alone
+    for i in range(ways):
+        between = _beyond(table, own, leaving[i])
+        known = False
+        for j in range(i):
+            known |= _beyond(table, own, leaving[j]) == between
+        if known:
+            continue
+        through = 0
+        for e in range(entries):
+            through += _beyond(table, cluster, entering[e]) == between
+        if through == 0:
+            continue
+        for j in range(i, ways):
+            if _beyond(table, own, leaving[j]) == between:
+                found_gate[n], found_mask[n] = leaving[j] | LEAVING, masks[j]
+                n += 1
+        for e in range(entries):
+            if _beyond(table, cluster, entering[e]) == between:
+                found_gate[n], found_mask[n] = entering[e] | ENTERING, _ALL
+                n += 1
+    if n > 0:
+        return n
+    for i in range(ways):
+        for e in range(entries):
+            if table.sight[_beyond(table, own, leaving[i]), _beyond(table, cluster, entering[e])]:
+                found_gate[n], found_mask[n] = leaving[i] | LEAVING, masks[i]
+                n += 1
+                break
+    left = n
+    for e in range(entries):
+        for i in range(left):
+            if table.sight[_beyond(table, own, found_gate[i] & NUMBER), _beyond(table, cluster, entering[e])]:
+                found_gate[n], found_mask[n] = entering[e] | ENTERING, _ALL
+                n += 1
+                break
+    return n if n > left else 0
 
 
 @kernel

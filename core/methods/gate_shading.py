@@ -9,9 +9,10 @@ import numpy as np
 
 from ..jit import kernel
 from ..topology.gates import CELLS, SIDES
-from .gate_lists import ENTRANCE, LANES, NO_GATE, POINTS
+from .gate_lists import ENTERING, LANES, LEAVING, NO_GATE, NUMBER, POINTS
 
 _TINY = np.float32(1e-15)  # m^2: keeps r^4 above zero
+_ALL = np.uint32((1 << LANES) - 1)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -29,11 +30,11 @@ def gathered(points, runs, r, local):
 
 @kernel
 def scatter(light, runs, r, out):
-    """Add the light (3, POINTS) of a geometry cluster to its points in out (N, 3)."""
+    """Write the light (3, POINTS) of a geometry cluster to its places in out (N, 3)."""
     first = runs.first[r]
     for k in range(runs.first[r + 1] - first):
         for c in range(3):
-            out[runs.order[first + k], c] += light[c, k]
+            out[first + k, c] = light[c, k]
 
 
 @kernel
@@ -108,39 +109,52 @@ def _pass_gate(table, at, gates, g, polygons, mask, local, n, passed, scratch):
 
 
 @kernel
-def see(lights, lists, begin, end, gate_table, local, n, seen, entered, scratch):
+def see(lights, lists, begin, end, gate_table, local, n, seen, passed, scratch):
     """Set `seen` (LANES, POINTS) to 1 where n points see the VPLs of a block, listed in begin..end-1, through gates; whether any does.
 
-    entered: (LANES, POINTS), scratch: (3, POINTS) float32, scratch.
+    passed: (2, LANES, POINTS), scratch: (3, POINTS) float32, scratch.
     """
     at = lists.block[begin] * LANES
     if lists.gate[begin] == NO_GATE:
         seen[:, :n] = _1
         return True
     seen[:, :n] = _0
-    leaves = enters = False
-    for item in range(begin, end):
+    gates, polygons = gate_table.gates, gate_table.polygons
+    some = False
+    item = begin
+    while item < end:
         g, mask = lists.gate[item], lists.mask[item]
-        if g < ENTRANCE:
-            leaves |= _pass_gate(lights.table, at, gate_table.gates, g, gate_table.polygons, mask, local, n, seen, scratch)
+        if g < LEAVING:
+            some |= _pass_gate(lights.table, at, gates, g, polygons, mask, local, n, seen, scratch)
+            item += 1
             continue
-        if not leaves:
-            return False
-        if not enters:
-            entered[:, :n] = _0
-        enters |= _pass_gate(lights.table, at, gate_table.gates, g - ENTRANCE, gate_table.polygons, mask, local, n, entered, scratch)
-    if gate_table.polygons and enters:
-        seen[:, :n] *= entered[:, :n]
-    return enters if gate_table.polygons else leaves
+        # One set: all its gates that lead out, then all that lead in.
+        passed[:, :, :n] = _0
+        left = entered = False
+        while item < end and lists.gate[item] < ENTERING:
+            g, mask = lists.gate[item] & NUMBER, lists.mask[item]
+            left |= _pass_gate(lights.table, at, gates, g, polygons, mask, local, n, passed[0], scratch)
+            item += 1
+        while item < end and lists.gate[item] >= ENTERING:
+            if left:
+                entered |= _pass_gate(lights.table, at, gates, lists.gate[item] & NUMBER, polygons, _ALL, local, n, passed[1], scratch)
+            item += 1
+        if entered:
+            for lane in range(LANES):
+                one, other, of = passed[0, lane], passed[1, lane], seen[lane]
+                for k in range(n):
+                    of[k] = max(of[k], one[k] * other[k])
+            some = True
+    return some
 
 
 @kernel
 def shade(points, runs, begin, end, lights, lists, gate_table, g_max, out):
-    """Adds the listed light to the points of the geometry clusters begin..end-1; the pairs shaded.
+    """The listed light of the points of the geometry clusters begin..end-1 into their places in `out`; the pairs shaded.
 
     A VPL lights a point once, through however many gates their line passes.
     """
-    seen, entered = np.empty((LANES, POINTS), np.float32), np.empty((LANES, POINTS), np.float32)
+    seen, passed = np.empty((LANES, POINTS), np.float32), np.empty((2, LANES, POINTS), np.float32)
     scratch, local, light = np.empty((3, POINTS), np.float32), np.empty((9, POINTS), np.float32), np.empty((3, POINTS), np.float32)
     pairs = 0
     for r in range(begin, end):
@@ -151,7 +165,7 @@ def shade(points, runs, begin, end, lights, lists, gate_table, g_max, out):
             block, last = lists.block[i], i + 1
             while last < lists.first[r + 1] and lists.block[last] == block:
                 last += 1
-            if see(lights, lists, i, last, gate_table, local, n, seen, entered, scratch):
+            if see(lights, lists, i, last, gate_table, local, n, seen, passed, scratch):
                 lanes = lights.blocks.first[block + 1] - lights.blocks.first[block]
                 light_block(lights.table, block * LANES, lanes, local, n, seen, seen, seen, g_max, light)
                 pairs += n * lanes

@@ -13,7 +13,7 @@ import numpy as np
 from ..particles import Vpls
 from ..scene import TRANSPARENT
 from ..threads import Progress, run_chunks
-from ..topology import Gates, Topology
+from ..topology import Gates, Shares, Topology, whole
 from ..transport import Transport
 from ..view.points import ShadingPoints, pixel_maxima
 from . import gate_lists
@@ -34,6 +34,8 @@ class VisibilityGates:
     topology: of the scene.  gates: `disks` as in the paper, `polygons` fitted to the openings, or `off`: light stays in its cluster; `guided`:
         shadow rays wherever the polygons leave it open whether a line is free.
     oversize: factor on the gates' radii.  More than 1 lets in what disks are too small for, and more that is hidden.
+    blend: voxels around a point over whose visibility clusters its light is blended, so that borders show no edge; 0 for its own alone.  Guided
+        rays have no use for it.
     compensation: gather rays a point that give back the light taken by the clamp (0: none).
     seconds: of the stages of the last call of `irradiance`, by the paper's names.
     """
@@ -44,6 +46,7 @@ class VisibilityGates:
         *,
         gates: str = "disks",
         oversize: float = 1.0,
+        blend: float = 0.0,
         compensation: int = 8,
         bounces: int = 4,
         seed: int = 0,
@@ -54,6 +57,7 @@ class VisibilityGates:
         self.topology = topology
         self.gates = gates
         self.oversize = oversize
+        self.blend = 0.0 if gates == "guided" else blend
         self.compensation = compensation
         self.bounces = bounces
         self.seed = seed
@@ -69,17 +73,22 @@ class VisibilityGates:
         self.scene = scene
         self.vpls = vpls
         self.g_max = np.float32(clamp_of(vpls, points))
-        clusters = self.topology.clusters_at(vpls.position, vpls.surface_normal)
-        self.lights = gate_lists.lights_of(vpls, clusters)
-        polygons = self.gates in ("polygons", "guided")
+        self.lights = gate_lists.lights_of(vpls, self.topology.clusters_at(vpls.position, vpls.surface_normal))
+        polygons = self.gates == "polygons"
         # The paper's disks light whatever lies in their cones; openings allow a stricter answer.
         sight = self.topology.sight if polygons else np.ones_like(self.topology.sight)
         self.table = gate_lists.gate_table(self._gates().scaled(self.oversize), sight, polygons)
 
+    def _shares(self, points: ShadingPoints) -> Shares:
+        """In which visibility clusters the points are lit, and their shares."""
+        if self.blend:
+            return self.topology.shares_around(points.position, points.ng, self.blend)
+        return whole(self.topology.clusters_at(points.position, points.ng))
+
     def _gates(self) -> Gates:
         if self.gates == "off":
             return Gates(*(array[:0] for array in self.topology.disks))
-        return self.topology.disks if self.gates == "disks" else self.topology.polygons
+        return self.topology.polygons if self.gates == "polygons" else self.topology.disks
 
     def irradiance(self, points: ShadingPoints, progress: Progress | None = None) -> np.ndarray:
         """Indirect irradiance at N points, (N, 3) float32, W/m^2."""
@@ -87,12 +96,19 @@ class VisibilityGates:
         if not len(out) or not len(self.vpls.bounce):
             return out
         begin = time.perf_counter()
-        self.runs = gate_lists.runs_of(points.position, points.ng, self.topology.clusters_at(points.position, points.ng), POINTS)
+        shares = self._shares(points)
+        self.runs = gate_lists.runs_of(points.position[shares.item], points.ng[shares.item], shares.cluster, POINTS)
+        share = shares.share[self.runs.order, None]
+        self.runs = self.runs._replace(order=shares.item[self.runs.order])
         assigned = time.perf_counter()
-        lists = self._assign()
-        shaded = time.perf_counter()
-        self._shade(points, lists, out, progress)
-        self.seconds = {"IUGC": assigned - begin, "LA": shaded - assigned, "IL": time.perf_counter() - shaded}
+        lists = None if self.gates == "guided" else self._assign()
+        listed = time.perf_counter()
+        light = np.empty((len(self.runs.order), 3), np.float32)
+        self._shade(points, lists, light, progress)
+        light *= share
+        for c in range(3):
+            out[:, c] = np.bincount(self.runs.order, light[:, c], len(out))
+        self.seconds = {"IUGC": assigned - begin, "LA": listed - assigned, "IL": time.perf_counter() - listed}
         if self.compensation and np.isfinite(self.g_max):
             self._give_back(points, out)
         return out
@@ -105,36 +121,22 @@ class VisibilityGates:
 
         return gate_lists.joined(run_chunks(work, len(self.runs.cluster), _CLUSTERS_A_CHUNK * gate_lists.GROUP, self.threads))
 
-    def _shade(self, points: ShadingPoints, lists: Lists, out: np.ndarray, progress: Progress | None) -> None:
+    def _shade(self, points: ShadingPoints, lists: Lists | None, light: np.ndarray, progress: Progress | None) -> None:
         cutouts = bool((self.scene.materials.flags & TRANSPARENT).any())
+        seed, sight = np.uint32(self.seed), self.topology.sight
 
         def listed(begin, end):
-            return shade(points, self.runs, begin, end, self.lights, lists, self.table, self.g_max, out), 0, 0
+            return 0, 0, shade(points, self.runs, begin, end, self.lights, lists, self.table, self.g_max, light)
 
         def guided(begin, end):
-            probes, traced, saved, pairs = shade_guided(
-                self.scene,
-                self.vpls,
-                points,
-                self.runs,
-                begin,
-                end,
-                self.lights,
-                lists,
-                self.table,
-                cutouts,
-                self.g_max,
-                np.uint32(self.seed),
-                out,
-            )
-            return pairs, probes + traced, saved - probes
+            return shade_guided(self.scene, self.vpls, points, self.runs, begin, end, self.lights, sight, cutouts, self.g_max, seed, light)
 
-        work = guided if self.gates == "guided" else listed
+        work = guided if lists is None else listed
         counts = run_chunks(work, len(self.runs.cluster), _CLUSTERS_A_CHUNK, self.threads, progress)
-        pairs, rays, saved = (sum(column) for column in zip(*counts))
+        traced, facing, pairs = (sum(column) for column in zip(*counts))
         self.pairs += pairs
-        self.rays += rays
-        self.saved += saved
+        self.rays += traced
+        self.saved += facing - traced
 
     def _give_back(self, points: ShadingPoints, out: np.ndarray) -> None:
         """Adds the light that the clamp took, by gather rays."""
@@ -154,7 +156,7 @@ class VisibilityGates:
             return {}
         sizes = np.diff(self.runs.first)
         numbers = np.zeros((len(points.pixel), 2), np.float32)
-        numbers[self.runs.order, 0] = np.repeat(self.runs.cluster + 1, sizes)
+        numbers[:, 0] = self.topology.clusters_at(points.position, points.ng) + 1
         numbers[self.runs.order, 1] = np.repeat(np.arange(1, len(sizes) + 1), sizes)
         pictures = pixel_maxima(numbers, points.pixel, shape)
         return {"VisibilityClusters": pictures[..., :1], "GeometryClusters": pictures[..., 1:]}

@@ -1,5 +1,6 @@
 """Topology of the empty space: voxels, thinning, skeleton, visibility clusters, gates (visibility gates paper, 2014)."""
 
+from .blending import Shares, whole
 from .build import RESOLUTION, Topology, blocking_triangles, build_topology
 from .gates import Gates, gates_by_cluster
 from .nearest import SOLID
@@ -14,6 +15,7 @@ __all__ = [
     "SOLID",
     "Gates",
     "Grid",
+    "Shares",
     "Skeleton",
     "Topologies",
     "Topology",
@@ -25,5 +27,6 @@ __all__ = [
     "rooms_seen",
     "skeleton_of",
     "voxelise",
+    "whole",
     "without_emitters",
 ]

@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..scene import DIFFUSE, TRANSPARENT, Scene
+from .blending import Shares, shares_around
 from .clusters import ALPHA, visibility_clusters
 from .gates import Gates, disk_gates, polygon_gates
+from .merging import SHARE, merged
 from .nearest import SOLID, look_up, nodes_of_voxels
 from .segmentation import Segmented, segment
 from .sight import sight_of
@@ -25,7 +27,7 @@ class Topology:
 
     node_of: (Z, Y, X) int32, the segmented node of each voxel; SOLID where a surface is.
     cluster: (K,) int32, its visibility cluster.  room: (K,) int32, its connected piece of the empty space.
-    disks, polygons: the gates.  sight: (clusters, clusters) bool, between which a straight line may pass.  seconds: what each step took.
+    disks, polygons: the gates.  sight: (clusters, clusters) bool, between which light may pass.  seconds: what each step took.
     """
 
     grid: Grid
@@ -62,6 +64,10 @@ class Topology:
         """(N,) int32 visibility clusters that surface points look at; SOLID where there is none near."""
         return _at(self.cluster, self.nodes_at(points, normals))
 
+    def shares_around(self, points: np.ndarray, normals: np.ndarray, radius: float) -> Shares:
+        """The visibility clusters within `radius` voxels of surface points, on the surface, and their shares."""
+        return shares_around(self.node_of, self.cluster, self.grid.low, 1.0 / self.grid.size, points, normals, radius)
+
     def rooms_at(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """(N,) int32 rooms that surface points look at; SOLID where there is none near."""
         return _at(self.room, self.nodes_at(points, normals))
@@ -72,12 +78,12 @@ def _at(values: np.ndarray, index: np.ndarray) -> np.ndarray:
     return np.where(index >= 0, np.append(values, SOLID)[index], SOLID).astype(np.int32)
 
 
-def blocking_triangles(scene: Scene) -> np.ndarray:
-    """(T', 3) int32: the triangles that stop diffuse light; what lets some of it through is no wall."""
+def blocking_triangles(scene: Scene, cutouts: bool = False) -> np.ndarray:
+    """(T', 3) int32: the triangles that stop diffuse light; what lets some of it through is a wall only with `cutouts`."""
     geometry = scene.geometry
     through = (scene.materials.tables.flags[geometry.material] & TRANSPARENT) != 0
     met = (geometry.object_visibility[geometry.object] & DIFFUSE) != 0
-    return geometry.triangles[met & ~through]
+    return geometry.triangles[met if cutouts else met & ~through]
 
 
 def build_topology(
@@ -87,11 +93,13 @@ def build_topology(
     *,
     closed: bool = True,
     alpha: float = ALPHA,
+    share: float = SHARE,
     threads: int = 0,
 ) -> Topology:
     """The topology of what triangles (T, 3) of vertices (V, 3) leave empty in their bounding box.
 
     resolution: voxels along the longest side.  closed: the bounding box is solid outside; else open space goes on.
+    alpha: of the paper's clusters; share: of free lines, above which neighbours among these are joined, more than 1 for none.
 
     Raises:
         SceneError: the resolution is out of bounds, or the triangles have no extent.
@@ -110,6 +118,8 @@ def build_topology(
     clock.lap("clusters")
     node_of = nodes_of_voxels(empty, skeleton.place, segmented.owner)
     clock.lap("voxel map")
+    cluster = merged(_at(cluster, node_of), int(cluster.max(initial=-1)) + 1, share)[cluster]
+    clock.lap("joined clusters")
     room = skeleton.component[segmented.node]
     disks = disk_gates(grid, skeleton, segmented, cluster)
     cluster_of = _at(cluster, node_of)

@@ -19,6 +19,9 @@ CELLS = 16  # of an opening's raster, along either side
 SIDES = 12  # of a polygon: half-planes in fixed directions about its centre
 DIRECTIONS = np.stack([np.cos(2 * np.pi * np.arange(SIDES) / SIDES), np.sin(2 * np.pi * np.arange(SIDES) / SIDES)], 1).astype(np.float32)
 
+_BULGE, _BULGE_SHARE = 8.0, 0.7  # voxels, and of its own reach, that a flat piece of an opening may leave its plane
+_FEWEST = 128  # faces of a piece that is cut
+
 
 class Gates(NamedTuple):
     """G gates, each in a plane.
@@ -141,6 +144,42 @@ def _connected(pairs: np.ndarray, places: np.ndarray, signs: np.ndarray, shape) 
     return scipy.sparse.csgraph.connected_components(links, directed=False)[1]
 
 
+def _flat(opening: np.ndarray, places: np.ndarray, signs: np.ndarray) -> np.ndarray:
+    """(F,) the flat piece of an opening that each face belongs to: those that bulge are cut in two across their longest way, again and again.
+
+    A line that crosses a bulging opening need not cross the plane through its middle.
+    """
+    at = places / 2
+    axes = np.sign(signs)[:, None] * np.eye(3)[np.abs(signs) - 1]
+    piece = np.unique(opening, return_inverse=True)[1].ravel()
+    open_ = np.ones(piece.max(initial=-1) + 1, bool)
+    while open_.any():
+        count = len(open_)
+        size = np.bincount(piece, minlength=count)
+        mean = _sums(piece, at, count) / size[:, None]
+        normal = _sums(piece, axes, count)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+        away = at - mean[piece]
+        bulge, reach = np.zeros(count), np.zeros(count)
+        np.maximum.at(bulge, piece, np.abs((away * normal[piece]).sum(axis=1)))
+        np.maximum.at(reach, piece, np.linalg.norm(away, axis=1))
+        # Where normals cancel each other out there is no plane at all.
+        turned = np.linalg.norm(_sums(piece, axes, count), axis=1) < 0.5 * size
+        open_ &= (size >= _FEWEST) & (turned | (bulge > np.maximum(_BULGE, _BULGE_SHARE * reach)))
+        covariance = _sums(piece, (away[:, :, None] * away[:, None]).reshape(-1, 9), count).reshape(-1, 3, 3)
+        longest = np.linalg.eigh(covariance)[1][:, :, 2]
+        beyond = open_[piece] & ((away * longest[piece]).sum(axis=1) > 0)
+        fresh = np.cumsum(open_) - 1 + count
+        piece = np.where(beyond, fresh[piece], piece)
+        open_ = np.concatenate([open_, np.ones(int(open_.sum()), bool)])
+    return piece
+
+
+def _sums(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """(count, C) sums of values (F, C) by group (F,)."""
+    return np.stack([np.bincount(group, column, count) for column in values.T], axis=1)
+
+
 def polygon_gates(grid: Grid, cluster: np.ndarray) -> Gates:
     """A convex polygon round each opening between two clusters, in the plane through its middle across its mean normal.
 
@@ -150,7 +189,7 @@ def polygon_gates(grid: Grid, cluster: np.ndarray) -> Gates:
     if not len(pairs):
         e = np.empty
         return Gates(e((0, 2), np.int32), *(e((0, *s), np.float32) for s in ((3,), (3, 3), (), (SIDES,))), _all_open(0))
-    opening = _connected(pairs, places, signs, grid.shape)
+    opening = _flat(_connected(pairs, places, signs, grid.shape), places, signs)
     order = np.argsort(opening, kind="stable")
     pairs, places, signs, opening = pairs[order], places[order], signs[order], opening[order]
     start = np.flatnonzero(np.diff(opening, prepend=-1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import inlined, kernel
 
 SOLID = -1
 _STEPS = 12  # along the normal, of half a voxel each
@@ -67,37 +67,41 @@ def nodes_of_voxels(empty: np.ndarray, place: np.ndarray, owner: np.ndarray) -> 
     return label
 
 
+@inlined
+def empty_voxel(label, x, y, z, nx, ny, nz):
+    """The voxel (i, j, k) that a surface point looks at, found along its normal: surfaces lie in solid voxels; (-1, -1, -1) where there is none.
+
+    Where a few voxels' walk meets none, the nearest in the voxels around that lie on the normal's side is taken.
+    x, y, z: of the point, in voxels.  nx, ny, nz: the normal.
+    """
+    depth, height, width = label.shape
+    for step in range(1, _STEPS + 1):
+        t = 0.5 * step
+        i, j, k = np.int64(np.floor(x + t * nx)), np.int64(np.floor(y + t * ny)), np.int64(np.floor(z + t * nz))
+        if 0 <= i < width and 0 <= j < height and 0 <= k < depth and label[k, j, i] >= 0:
+            return i, j, k
+    i, j, k = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
+    best = np.inf
+    found = np.int64(-1), np.int64(-1), np.int64(-1)
+    for c in range(max(0, k - 3), min(depth, k + 4)):
+        for b in range(max(0, j - 3), min(height, j + 4)):
+            for a in range(max(0, i - 3), min(width, i + 4)):
+                dx, dy, dz = a + 0.5 - x, b + 0.5 - y, c + 0.5 - z
+                if label[c, b, a] < 0 or dx * nx + dy * ny + dz * nz <= 0:
+                    continue
+                d2 = dx * dx + dy * dy + dz * dz
+                if d2 < best:
+                    best, found = d2, (a, b, c)
+    return found
+
+
 @kernel
 def look_up(label, low, scale, points, normals, out):
-    """The label at each point, found along its normal: surfaces lie in solid voxels.
+    """The label of the voxel that each point looks at; SOLID if it looks at none.
 
-    Where a few voxels' walk meets none, the nearest in the voxels around that lie on the normal's side is taken; SOLID if none does.
     points, normals: (N, 3) (m).  low, scale: corner (m) and voxels per metre.  out: (N,) int32.
     """
-    nz, ny, nx = label.shape
     for p in range(len(points)):
         x, y, z = (points[p, 0] - low[0]) * scale, (points[p, 1] - low[1]) * scale, (points[p, 2] - low[2]) * scale
-        out[p] = SOLID
-        for step in range(1, _STEPS + 1):
-            t = 0.5 * step
-            i, j, k = (
-                np.int64(np.floor(x + t * normals[p, 0])),
-                np.int64(np.floor(y + t * normals[p, 1])),
-                np.int64(np.floor(z + t * normals[p, 2])),
-            )
-            if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz and label[k, j, i] >= 0:
-                out[p] = label[k, j, i]
-                break
-        if out[p] >= 0:
-            continue
-        i, j, k = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
-        best = np.inf
-        for c in range(max(0, k - 3), min(nz, k + 4)):
-            for b in range(max(0, j - 3), min(ny, j + 4)):
-                for a in range(max(0, i - 3), min(nx, i + 4)):
-                    dx, dy, dz = a + 0.5 - x, b + 0.5 - y, c + 0.5 - z
-                    if label[c, b, a] < 0 or dx * normals[p, 0] + dy * normals[p, 1] + dz * normals[p, 2] <= 0:
-                        continue
-                    d2 = dx * dx + dy * dy + dz * dz
-                    if d2 < best:
-                        best, out[p] = d2, label[c, b, a]
+        i, j, k = empty_voxel(label, x, y, z, normals[p, 0], normals[p, 1], normals[p, 2])
+        out[p] = label[k, j, i] if i >= 0 else SOLID

@@ -1,7 +1,7 @@
-"""Between which visibility clusters a straight line may pass: paths of gates that lie in line.
+"""Between which visibility clusters light may pass: paths of gates that lie in line, and then lines between their surfaces.
 
 Airey et al. 1990, "Towards Image Realism with Interactive Update Rates in Complex Building Environments": cells and portals.  Gates and
-clusters are replaced by balls round them, so that the answer errs towards sight.
+clusters are replaced by balls round them, which errs towards sight; of the pairs that are left, those are believed of which some lines are free.
 """
 
 from __future__ import annotations
@@ -11,8 +11,10 @@ import numpy as np
 from ..jit import kernel
 from .cones import ball_meets, cone_through
 from .gates import Gates, gates_by_cluster
+from .lines import free_shares, samples_of
 from .voxels import Grid
 
+_SEEN = 0.05  # of the lines between two clusters that are free, where they are in sight
 _PAD = 2.0  # voxels, that the surfaces of a cluster lie beyond its voxels
 
 
@@ -69,7 +71,7 @@ def _walk(first, of, joins, ball, sight):
 
 
 def sight_of(grid: Grid, cluster: np.ndarray, clusters: int, gates: Gates) -> np.ndarray:
-    """(clusters, clusters) bool, symmetric: whether a straight line may lead from one cluster to the other through gates.
+    """(clusters, clusters) bool, symmetric: which clusters see each other, or are neighbours.
 
     cluster: (Z, Y, X) int32 of each voxel, negative in solid ones.  gates: all openings.
     """
@@ -81,4 +83,9 @@ def sight_of(grid: Grid, cluster: np.ndarray, clusters: int, gates: Gates) -> np
     ball[clusters:, :3], ball[clusters:, 3] = gates.centre, gates.radius
     sight = np.zeros((clusters, clusters), bool)
     _walk(*gates_by_cluster(gates, clusters), gates.clusters, ball, sight)
-    return sight & sight.T
+    near = np.eye(clusters, dtype=bool)
+    near[gates.clusters[:, 0], gates.clusters[:, 1]] = True
+    pairs = np.argwhere(np.triu(sight & sight.T & ~near & ~near.T))
+    pairs = pairs[free_shares(cluster, samples_of(cluster, clusters), pairs) >= _SEEN]
+    near[pairs[:, 0], pairs[:, 1]] = True
+    return near | near.T

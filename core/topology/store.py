@@ -15,7 +15,7 @@ from .segmentation import Segmented
 from .skeleton import Skeleton
 from .voxels import Grid
 
-VERSION = 3  # of what is built from the same triangles
+VERSION = 4  # of what is built from the same triangles
 _PARTS = {"grid": Grid, "skeleton": Skeleton, "segmented": Segmented, "disks": Gates, "polygons": Gates}
 
 
@@ -29,13 +29,16 @@ class Topologies:
         self.capacity = capacity
         self._held: OrderedDict[str, Topology] = OrderedDict()
 
-    def of(self, scene: Scene, resolution: int, threads: int = 0) -> Topology:
-        """The topology of `scene` at this resolution, built only where it is not known; raises as `build_topology`."""
-        triangles = blocking_triangles(scene)
-        key = content_key(scene.geometry.vertices, triangles, resolution)
+    def of(self, scene: Scene, resolution: int, threads: int = 0, *, closed: bool = True, cutouts: bool = False) -> Topology:
+        """The topology of `scene` at this resolution, built only where it is not known; arguments and errors as of `build_topology`.
+
+        cutouts: whether what lets light through is a wall, too.
+        """
+        triangles = blocking_triangles(scene, cutouts)
+        key = content_key(scene.geometry.vertices, triangles, resolution, closed)
         found = self._held.pop(key, None) or self.load(key)
         if found is None:
-            found = build_topology(scene.geometry.vertices, triangles, resolution, threads=threads)
+            found = build_topology(scene.geometry.vertices, triangles, resolution, closed=closed, threads=threads)
             self.save(key, found)
         self._held[key] = found
         while len(self._held) > self.capacity:
@@ -53,9 +56,9 @@ class Topologies:
 IN_MEMORY = Topologies()
 
 
-def content_key(vertices: np.ndarray, triangles: np.ndarray, resolution: int) -> str:
+def content_key(vertices: np.ndarray, triangles: np.ndarray, resolution: int, closed: bool = True) -> str:
     """A hash of all that decides a topology."""
-    digest = hashlib.blake2b(f"{VERSION} {resolution} {vertices.shape} {triangles.shape}".encode(), digest_size=16)
+    digest = hashlib.blake2b(f"{VERSION} {resolution} {closed} {vertices.shape} {triangles.shape}".encode(), digest_size=16)
     digest.update(np.ascontiguousarray(vertices))
     digest.update(np.ascontiguousarray(triangles))
     return digest.hexdigest()

@@ -28,7 +28,8 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     topology = None
     if arguments.topology or arguments.skeleton is not None:
         with terminal.waiting("topology"):
-            topology = StoredTopologies().of(scene, arguments.voxels)
+            space = {"closed": arguments.outside == "closed", "cutouts": arguments.cutouts}
+            topology = StoredTopologies().of(scene, arguments.voxels, **space)
     report = inspect(scene, topology)
     if topology is not None:
         report["topology"] = summary(topology)

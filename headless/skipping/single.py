@@ -128,9 +128,9 @@ def _with_lamps(size: tuple[int, int], power: float) -> Scene:
 class _OneRoom(Topologies):
     """Topologies of which all rooms are one: nothing is out of reach."""
 
-    def of(self, scene: Scene, resolution: int, threads: int = 0) -> Topology:
+    def of(self, scene: Scene, resolution: int, threads: int = 0, **space: bool) -> Topology:
         """A topology from memory, as if all of its empty space were joined."""
-        found = IN_MEMORY.of(scene, resolution, threads)
+        found = IN_MEMORY.of(scene, resolution, threads, **space)
         return replace(found, room=np.zeros_like(found.room))
 
 

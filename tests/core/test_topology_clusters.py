@@ -5,7 +5,9 @@ import pytest
 
 from lumigate.core.errors import SceneError
 from lumigate.core.topology import SOLID, Topologies, build_topology
-from lumigate.core.topology.gates import SIDES, polygon_gates
+from lumigate.core.topology.gates import DIRECTIONS, SIDES, polygon_gates
+from lumigate.core.topology.lines import free_line
+from lumigate.core.topology.merging import merged
 from lumigate.core.topology.nearest import nodes_of_voxels
 from lumigate.core.topology.segmentation import COVERAGE, CURVATURE, PLAIN, TOPOLOGY, segment
 from lumigate.core.topology.skeleton import Skeleton
@@ -88,18 +90,108 @@ def test_the_door_lies_between_clusters(two_rooms):
         assert at_door.any()
 
 
-def test_sight_errs_towards_sight(two_rooms):
-    # Pairs of empty voxels whose line meets no solid voxel must be in sight of each other.
+def _met(solid, a, b, grown):
+    """Whether a line between the middles of voxels a and b (x, y, z) meets a solid one that is `grown` larger on each side."""
+    way = a + 0.5 + np.linspace(0, 1, 100 * np.abs(b - a).max() + 2)[:, None] * (b - a)
+    found = np.ones(len(way), bool) if grown < 0 else np.zeros(len(way), bool)
+    for corner in np.ndindex(2, 2, 2):
+        at = np.floor(way + abs(grown) * (2 * np.array(corner) - 1)).astype(int)
+        found = (np.logical_and if grown < 0 else np.logical_or)(found, solid[at[:, 2], at[:, 1], at[:, 0]])
+    return found.any()
+
+
+def test_free_lines_meet_no_solid_voxel():
+    rng = np.random.default_rng(3)
+    solid = rng.random((12, 13, 14)) < 0.06
+    label = np.where(solid, SOLID, 0).astype(np.int32)
+    ends = np.argwhere(~solid)[:, ::-1]
+    free = 0
+    for a, b in ends[rng.integers(0, len(ends), (400, 2))]:
+        found = free_line(label, *a, *b)
+        # Lines through an edge or a corner may go either way.
+        assert not _met(solid, a, b, -0.02) if found else _met(solid, a, b, 0.02)
+        free += found
+    assert 50 < free < 350
+
+
+def test_what_sees_each_other_is_in_sight(two_rooms):
     assert np.array_equal(two_rooms.sight, two_rooms.sight.T) and two_rooms.sight.diagonal().all()
-    empty = np.argwhere(two_rooms.node_of >= 0)
+    joins = two_rooms.polygons.clusters
+    assert two_rooms.sight[joins[:, 0], joins[:, 1]].all()
+    solid, at = two_rooms.node_of < 0, np.argwhere(two_rooms.node_of >= 0)[:, ::-1]
     rng = np.random.default_rng(0)
-    seen = 0
-    for a, b in empty[rng.integers(0, len(empty), (600, 2))]:
-        way = np.round(a + np.linspace(0, 1, 400)[:, None] * (b - a)).astype(int)
-        if (two_rooms.node_of[tuple(way.T)] >= 0).all():
-            assert two_rooms.sight[two_rooms.cluster[two_rooms.node_of[tuple(a)]], two_rooms.cluster[two_rooms.node_of[tuple(b)]]]
-            seen += 1
-    assert seen > 100
+    count = two_rooms.clusters
+    tried, free = np.zeros((count, count)), np.zeros((count, count))
+    for a, b in at[rng.integers(0, len(at), (1500, 2))]:
+        one, other = (two_rooms.cluster[two_rooms.node_of[tuple(v[::-1])]] for v in (a, b))
+        tried[one, other] += 1
+        free[one, other] += not _met(solid, a, b, 0)
+    often = (tried > 20) & (free > 0.3 * tried)
+    assert often.sum() > 1 and two_rooms.sight[often].all()
+
+
+def test_neighbours_that_see_each_other_are_joined(two_rooms):
+    walls = [((4, 0, 0), (4.2, 1.5, 3)), ((4, 2.5, 0), (4.2, 4, 3)), ((4, 1.5, 2.2), (4.2, 2.5, 3))]
+    alone = build_topology(*boxes(((0, 0, 0), (8.2, 4, 3)), *walls), 82, share=1.1)
+    assert two_rooms.clusters < alone.clusters
+    # Each room is nearly one cluster, and no cluster is in both.
+    inside = two_rooms.node_of >= 0
+    cluster = two_rooms.cluster[two_rooms.node_of]
+    left, right = (np.bincount(cluster[:, :, part][inside[:, :, part]]) for part in (slice(1, 39), slice(43, 81)))
+    assert left.max() > 0.9 * left.sum() and right.max() > 0.9 * right.sum() and left.argmax() != right.argmax()
+
+
+def test_parts_that_do_not_see_each_other_stay_apart():
+    # Two halves of a bar, and one round its corner: the first see each other wholly.
+    label = np.full((3, 24, 24), SOLID, np.int32)
+    label[1, 1:3, 1:12], label[1, 1:3, 12:23], label[1, 3:23, 21:23] = 0, 1, 2
+    assert len(np.unique(merged(label, 3, 0.9))) == 2
+    assert merged(label, 3, 0.9)[0] == merged(label, 3, 0.9)[1]
+    assert len(np.unique(merged(label, 3, 1.1))) == 3
+
+
+def test_shares_around_borders(two_rooms):
+    rng = np.random.default_rng(4)
+    at = np.stack([rng.uniform(0.2, 8, 300), rng.uniform(0.2, 3.8, 300), np.zeros(300)], 1).astype(np.float32)
+    at = at[np.abs(at[:, 0] - 4.1) > 0.2]
+    up = np.tile(np.float32([0, 0, 1]), (len(at), 1))
+    shares = two_rooms.shares_around(at, up, 5)
+    assert np.allclose(np.bincount(shares.item, shares.share), 1, atol=1e-5)
+    own = two_rooms.clusters_at(at, up)
+    largest = np.zeros(len(at))
+    np.maximum.at(largest, shares.item, np.where(shares.cluster == own[shares.item], shares.share, 0))
+    assert (largest > 0.05).all()
+    # No wall is crossed: beside it, far from the door, all clusters are those of voxels that a free line reaches.
+    beside = np.flatnonzero((np.abs(at[:, 0] - 4.1) < 0.6) & (np.abs(at[:, 1] - 2) > 1.2))
+    assert len(beside) > 3
+    for item in beside:
+        for cluster in shares.cluster[shares.item == item]:
+            x = np.argwhere(two_rooms.cluster[two_rooms.node_of] == cluster)[:, 2]
+            assert ((x < 41) == (at[item, 0] < 4.1)).any()
+    assert np.array_equal(two_rooms.shares_around(at, up, 0.01).cluster, own)
+
+
+def test_bulging_openings_are_cut_into_flat_pieces():
+    # A cube in the middle of another cluster: one opening, six sides.
+    cluster = np.zeros((40, 40, 40), np.int32)
+    cluster[10:30, 10:30, 10:30] = 1
+    gates = polygon_gates(Grid(np.zeros(3), 1.0, (40, 40, 40)), cluster)
+    assert len(gates.radius) >= 6
+    # Most lines from its middle outwards pass some piece; one plane alone has half of them behind it or in it.
+    rng = np.random.default_rng(1)
+    to = rng.normal(size=(200, 3))
+    to = 20 + 60 * to / np.linalg.norm(to, axis=1, keepdims=True)
+    passed = 0
+    for end in to:
+        some = False
+        for g in range(len(gates.radius)):
+            n = gates.frame[g, 2].astype(float)
+            before, after = (np.full(3, 20.0) - gates.centre[g]) @ n, (end - gates.centre[g]) @ n
+            if before * after < 0:
+                q = 20 + before / (before - after) * (end - 20) - gates.centre[g]
+                some |= bool((np.array([q @ gates.frame[g, 0], q @ gates.frame[g, 1]]) @ DIRECTIONS.T <= gates.extent[g]).all())
+        passed += some
+    assert passed > 0.6 * len(to)
 
 
 def test_clusters_are_connected_and_complete(two_rooms):

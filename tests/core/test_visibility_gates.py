@@ -6,6 +6,7 @@ import pytest
 from lumigate.core import scene as sc
 from lumigate.core.lamps import build_emitters
 from lumigate.core.methods import gate_lists
+from lumigate.core.methods.gate_shading import shade
 from lumigate.core.methods.instant_radiosity import InstantRadiosity
 from lumigate.core.methods.visibility_gates import VisibilityGates
 from lumigate.core.particles import Vpls
@@ -96,8 +97,8 @@ def test_gates_are_nearer_to_shadow_rays_than_no_shadows(rooms):
     blind.prepare(tables, vpls, points)
     without = _error(rooms, blind.irradiance(points))
     off, disks, polygons = (_error(rooms, _solve(rooms, gates)[1]) for gates in ("off", "disks", "polygons"))
-    assert polygons < disks < off
-    assert polygons < 0.5 * without
+    assert max(polygons, disks) < off < without
+    assert polygons < 0.2 * without
 
 
 def test_gates_off_keep_light_in_its_cluster(rooms):
@@ -115,7 +116,7 @@ def test_guided_rays_find_what_all_rays_find_with_fewer(rooms):
     relmse = ((light - truth) ** 2 / (truth**2 + 0.01 * truth.mean() ** 2)).mean()
     assert relmse < 0.002
     assert light.mean() == pytest.approx(truth.mean(), rel=0.01)
-    assert solver.saved > 0.3 * (solver.saved + solver.rays)
+    assert solver.saved > 0.2 * (solver.saved + solver.rays)
 
 
 @pytest.mark.parametrize("gates", ["disks", "polygons", "guided"])
@@ -189,6 +190,18 @@ def test_cut_outs_are_no_walls(build):
     scene.materials = stuff
     scene.geometry.material[12:] = 1
     assert Topologies().of(scene, 82).rooms == 1
+    assert Topologies().of(scene, 82, cutouts=True).rooms == 2
+
+
+def test_an_open_outside_joins_what_leads_out(build):
+    # A sheet on the floor of its own box: closed, the space above and below it are apart; open, both lead out.
+    vertices = np.float32([[0, 0, 0], [4, 0, 0], [0, 4, 0], [4, 4, 0], [0, 0, 2], [0, 0, -2]])
+    scene = build.scene(build.geometry(vertices, np.int32([[0, 1, 2], [1, 3, 2], [4, 4, 4], [5, 5, 5]])), build.materials((0.6, 0.0)))
+    known = Topologies()
+    closed, open_ = known.of(scene, 16), known.of(scene, 16, closed=False)
+    assert closed.rooms == 2 and open_ is not closed
+    points = _points(np.float32([[2, 2, 0]]), np.float32([[0, 0, 1]]))
+    assert rooms_seen(open_, points).any()
 
 
 def test_the_debug_layers_number_the_clusters(build):
@@ -203,6 +216,82 @@ def test_the_debug_layers_number_the_clusters(build):
 
 def test_oversized_disks_let_more_light_in(rooms):
     assert _solve(rooms, "disks", oversize=1.5)[1].sum() > 1.02 * _solve(rooms, "disks")[1].sum()
+
+
+def test_the_filter_has_no_effect_far_from_borders(rooms):
+    _, topology, points, _, _ = rooms
+    sharp, soft = (_solve(rooms, "disks", blend=blend)[1] for blend in (0, 4))
+    shares = topology.shares_around(points.position, points.ng, 4)
+    alone = np.bincount(shares.item, minlength=len(sharp)) == 1
+    assert 0 < alone.sum() < len(alone)
+    assert np.allclose(sharp[alone], soft[alone], rtol=1e-5)
+
+
+def test_a_blend_is_the_mean_of_what_its_clusters_get(rooms):
+    # A slow look at one point: its light in each of its clusters, put together by hand.
+    _, topology, points, _, _ = rooms
+    solver, soft = _solve(rooms, "polygons", blend=4)
+    shares = topology.shares_around(points.position, points.ng, 4)
+    p = np.bincount(shares.item, minlength=len(soft)).argmax()
+    of = shares.item == p
+    light = 0
+    for cluster, share in zip(shares.cluster[of], shares.share[of]):
+        one = points.take([p])
+        runs = gate_lists.runs_of(one.position, one.ng, np.array([cluster], np.int32), gate_lists.POINTS)
+        lists = gate_lists.joined(
+            [gate_lists.assign(runs, 0, 1, solver.lights, solver.table, gate_lists.cones_of(solver.lights, solver.table))]
+        )
+        out = np.zeros((1, 3), np.float32)
+        shade(one, runs, 0, 1, solver.lights, lists, solver.table, solver.g_max, out)
+        light = light + share * out[0]
+    assert of.sum() > 1
+    assert np.allclose(soft[p], light, rtol=1e-4)
+
+
+def test_polygons_let_light_in_by_gates_of_one_way_only(rooms):
+    # Every pair that polygons join passes an opening between both clusters, or one out of the VPL's and one into the point's.
+    topology = rooms[1]
+    solver, _ = _solve(rooms, "polygons")
+    lists = solver._assign()
+    joins = topology.polygons.clusters
+    for r in range(len(solver.runs.cluster)):
+        items = slice(lists.first[r], lists.first[r + 1])
+        for b in np.unique(lists.block[items]):
+            own, cluster = solver.lights.blocks.cluster[b], solver.runs.cluster[r]
+            marks = lists.gate[items][lists.block[items] == b]
+            if marks[0] == gate_lists.NO_GATE:
+                assert own == cluster
+                continue
+            assert topology.sight[own, cluster]
+            gates, leaving = marks & gate_lists.NUMBER, (marks & gate_lists.LEAVING) > 0
+            entering = (marks & gate_lists.ENTERING) > 0
+            alone = ~leaving & ~entering
+            assert all(set(joins[g]) == {own, cluster} for g in gates[alone])
+            assert all(own in joins[g] for g in gates[leaving]) and all(cluster in joins[g] for g in gates[entering])
+            assert leaving.any() == entering.any()
+
+
+def test_guided_rays_take_points_in_cracks_apart(build):
+    # A sheet 2 mm over the floor hides a strip of it from all lights above: those points are lit as little as by all rays.
+    sheet = ((2.0, 0.5, 0.002), (2.05, 3.5, 0.004))
+    scene = build.scene(build.geometry(*boxes(((0, 0, 0), (4, 4, 3)), sheet)), build.materials((0.6, 0.0)))
+    geometry = scene.geometry
+    rng = np.random.default_rng(8)
+    at = np.append(rng.uniform([0.5, 1, 0], [3.5, 3, 0], (630, 3)), [[2.02, y, 0] for y in np.linspace(1.1, 2.9, 10)], axis=0)
+    points = _points(at.astype(np.float32), np.tile(np.float32([0, 0, 1]), (len(at), 1)))
+    above = rng.uniform([0.5, 0.5, 3], [3.5, 3.5, 3], (200, 3)).astype(np.float32)
+    vpls = _lights(above, np.tile(np.float32([0, 0, -1]), (200, 1)))
+    with RayScene(geometry.vertices, geometry.triangles) as rays:
+        tables = transport(geometry, scene.materials.tables, rays.tables, build_emitters(scene))
+        topology = build_topology(geometry.vertices, blocking_triangles(scene), 40)
+        truth = InstantRadiosity(compensation=0)
+        solver = VisibilityGates(topology, gates="guided", compensation=0)
+        light = []
+        for method in (truth, solver):
+            method.prepare(tables, vpls, points)
+            light.append(method.irradiance(points))
+    assert not light[0][-10:].any() and not light[1][-10:].any()
+    assert solver.saved > 0.5 * (solver.saved + solver.rays)
 
 
 def test_unknown_gates_are_refused(rooms):

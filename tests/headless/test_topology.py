@@ -39,13 +39,16 @@ def test_inspect_prints_and_writes_the_topology(tmp_path, capsys):
     used = [int(n) for line in lines if line[:2] in ("l ", "f ") for n in line.split()[1:]]
     assert min(used) == 1 and max(used) == vertices
     assert sum(line.startswith("l ") for line in lines) >= report["skeleton"]["arcs"]
+    assert sum(line.startswith("o balls_of_cluster_") for line in lines) == report["visibility_clusters"]
+    assert sum(line.startswith("f ") for line in lines) == sum(report["gates"].values()) + 20 * report["skeleton"]["segmented_nodes"]
 
 
 def test_a_render_by_gates_shows_its_clusters(tmp_path):
     small = ["--size", "32x24", "--vpls", "64", "--pixel-samples", "1", "--bounces", "1", "--voxels", "32", "--debug-layers"]
     for gates in ("disks", "polygons", "off", "guided"):
         out = tmp_path / f"{gates}.exr"
-        assert main(["render", "cornell", "-o", str(out), "--method", "visibility-gates", "--gates", gates, *small]) == 0
+        gate_options = ["--gates", gates, "--gate-size", "1.2", "--gate-filter", "2", "--outside", "open", "--cutouts"]
+        assert main(["render", "cornell", "-o", str(out), "--method", "visibility-gates", *gate_options, *small]) == 0
         layers = read_exr(out)
         assert layers["Indirect"].mean() > 0 and layers["VisibilityClusters"].max() >= 1
         assert (tmp_path / f"{gates}-VisibilityClusters.png").is_file()

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from lumigate.core.lamps import build_emitters
 from lumigate.core.topology import Topologies, blocking_triangles, build_topology
 from lumigate.headless import topology_bench as bench
 from lumigate.headless.sources import extract
 from lumigate.headless.topology_pictures import draw, plot_thinning, project
-from lumigate.headless.topology_scenes import house, look_at, point_lamp
+from lumigate.headless.topology_scenes import Outlook, house, look_at
 
 
 @pytest.fixture(scope="module")
@@ -51,4 +52,8 @@ def test_a_camera_sees_what_it_looks_at(small_house):
     left, right, bottom, top = camera.window
     assert column[0] == pytest.approx(-left / (right - left) * 32) and row[0] == pytest.approx(top / (top - bottom) * 24)
     assert away[0] == pytest.approx(np.sqrt(5.09)) and away[1] == 0
-    assert len(point_lamp((1, 2, 3), 5.0)) == 1
+
+
+def test_the_lamp_of_an_outlook_shines(small_house):
+    outlook = Outlook("by a lamp", (1.0, 2.0, 1.5), (3.0, 1.0, 1.2), (2.0, 2.0, 2.0))
+    assert build_emitters(outlook.of(small_house)).flux.sum() > 0
