@@ -22,7 +22,7 @@ from .sequence_arguments import add_sequence, frame, frame_range, sequence_setti
 SCENE_SUFFIXES = (".blend", ".glb", ".gltf", ".obj")
 SUITES = (  # of `bench`
     *("kernels", "clustering", "fuzzy", "vals", "topology", "previews", "radiosity", "curves", "peers", "lightmaps", "frames", "farm"),
-    *("auto", "scaling", "stress", "skipping", "papers", "quick", "full"),
+    *("auto", "grid", "scaling", "stress", "skipping", "papers", "quick", "full"),
 )
 LARGEST_SIDE = 65_536  # pixels, Blender's own limit
 
@@ -221,6 +221,13 @@ SUITE_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
         REPEATS,
     ),
     "farm": (SIZE, FRAMES),
+    "grid": (
+        _scenes("as of curves, each with a size of its own where @WxH follows it; those"),
+        SIZE,
+        OwnOption("--targets", "targets", {"type": positive, "nargs": "+", "metavar": "E", "help": "relMSE (default: 0.05 0.02 0.01)"}),
+        REFERENCE_SAMPLES,
+        REPEATS,
+    ),
     "frames": (
         SIZE,
         REFERENCE_SAMPLES,

@@ -13,6 +13,7 @@ from .curves_bench import SCENES, SHARED, curves_steps
 from .farm_bench import farm_rows
 from .frames_bench import frames_rows
 from .fuzzy_bench import fuzzy_rows
+from .grid_bench import grid_steps
 from .kernel_bench import ray_rows
 from .lightmap_bench import lightmap_rows
 from .peers.suite import peers_steps
@@ -53,7 +54,8 @@ def quick_steps(folder: Path) -> list[Step]:
 
 def full_steps(folder: Path) -> list[Step]:
     """Everything there is, for hours."""
-    return [*curves_steps(folder), *peers_steps(folder), *auto_steps((*SCENES, *SHARED)), *scaling_steps(), *papers_steps(folder)]
+    auto = [*auto_steps((*SCENES, *SHARED)), *grid_steps()]
+    return [*curves_steps(folder), *peers_steps(folder), *auto, *scaling_steps(), *papers_steps(folder)]
 
 
 def _alone(name: str, rows: Callable[..., list[dict]], pictured: bool = False) -> Callable[..., list[Step]]:
@@ -80,6 +82,7 @@ STEPS: dict[str, Callable[..., list[Step]]] = {
     "frames": _alone("frames", frames_rows, pictured=True),
     "farm": _alone("farm", farm_rows, pictured=True),
     "auto": lambda folder: auto_steps((*SCENES, *SHARED)),
+    "grid": lambda folder, **options: grid_steps(**options),
     "scaling": lambda folder: scaling_steps(),
     "stress": stress_steps,
     "skipping": lambda folder: [Step("places", skipping_rows), Step("one by one", single_rows)],

@@ -14,6 +14,7 @@ from ..core.jit import CompileTimer
 from ..core.layers import Layers
 from ..core.pipeline import render
 from ..core.settings import RenderSettings
+from ..core.topology import Topologies
 from .reference import ReferenceSettings, denoise_layers, render_layers
 from .sources import extract
 
@@ -27,12 +28,12 @@ class Timed:
 
 
 def ours(scene: bpy.types.Scene, size: tuple[int, int], settings: RenderSettings) -> Timed:
-    """A render of Lumigate, extraction included."""
+    """A render of Lumigate by itself: extraction included, and the topology of a method that needs one."""
     with CompileTimer() as compiling:
         begin = perf_counter()
         arrays = extract(scene, camera=None, size=size, frame=None)
         extraction = perf_counter() - begin
-    result = render(arrays, settings, extraction_seconds=extraction - compiling.seconds)
+    result = render(arrays, settings, extraction_seconds=extraction - compiling.seconds, topologies=Topologies())
     return Timed(result.stats["seconds_total"], result.layers)
 
 

@@ -17,6 +17,7 @@ from ..bench_steps import run_steps
 from ..bench_suites import STEPS
 from ..console import Terminal
 from ..curves_bench import METRICS, OPPOSITE, curves_summary
+from ..grid_bench import grid_summary
 from ..peers.suite import peers_summary
 from ..results import write_json
 
@@ -31,7 +32,7 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     identity = {"machine": machine(), "versions": versions(), "suite": arguments.suite, "options": arguments.options}
     with terminal.progress() as progress:
         rows = run_steps(steps, folder, identity, progress, terminal.say)
-    rows += curves_summary(folder, rows)
+    rows += curves_summary(folder, rows) + grid_summary(rows)
     peers_summary(folder, rows)
     results = {"machine": identity["machine"], "versions": identity["versions"], "rows": rows}
     write_json(folder / "results.json", results)

@@ -54,7 +54,7 @@ def test_progress_is_that_of_the_steps(tmp_path):
     assert seen == [("a (1 of 2)", 0.0), ("b (2 of 2)", 0.5)]
 
 
-@pytest.mark.parametrize("name", ["quick", "full", "papers", "scaling", "auto"])
+@pytest.mark.parametrize("name", ["quick", "full", "papers", "scaling", "auto", "grid"])
 def test_steps_have_names_of_their_own(name, tmp_path):
     steps = STEPS[name](tmp_path)
     assert len({step.name for step in steps}) == len(steps) > 1
