@@ -128,6 +128,22 @@ def reference_noise(half_a: np.ndarray, half_b: np.ndarray, denoised_reference: 
     return float(np.mean((a[valid] - b[valid]) ** 2 / 4 / _denominators(d, valid)))
 
 
+def reference_doubt(half_a: np.ndarray, half_b: np.ndarray, denoised_reference: np.ndarray) -> float:
+    """The standard deviation that the noise of the reference leaves in a `net_relmse`, of pixels whose noise is their own.
+
+    Against halves of errors A and B a pixel's net squared error is (x - t - A) (x - t - B), t being the truth: where the test x is near it,
+    A B is left, whose mean is zero.  All tests against the same halves have it in common, and it falls with the samples, not with their root.
+
+    Args:
+        half_a, half_b, denoised_reference: (H, W, C) linear values of one size; the last stands for the truth.
+    """
+    a, b = _pair(half_a, half_b)
+    d = _pair(denoised_reference, a)[0]
+    valid = valid_pixels(a, b, d)
+    left = ((a[valid] - d[valid]) * (b[valid] - d[valid]) / _denominators(d, valid)).mean(axis=-1)
+    return float(left.std() / max(1, len(left)) ** 0.5)
+
+
 def net_relmse(test: np.ndarray, half_a: np.ndarray, half_b: np.ndarray, denoised_reference: np.ndarray | None = None) -> float:
     """relMSE against the mean of two independent halves of a reference, net of that mean's own noise (section 6).
 

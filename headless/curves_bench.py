@@ -77,6 +77,10 @@ class Truth:
         """What the noise of the reference would add to a relMSE."""
         return metrics.reference_noise(*(half[name] for half in self.halves), self.clean[name])
 
+    def doubt(self, name: str) -> float:
+        """The standard deviation that this noise leaves in a net relMSE."""
+        return metrics.reference_doubt(*(half[name] for half in self.halves), self.clean[name])
+
 
 @dataclass
 class Point:

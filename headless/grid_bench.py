@@ -115,6 +115,18 @@ class Candidate:
         return None if None in values else statistics.median(values)
 
 
+@dataclass(frozen=True)
+class Noise:
+    """Of the reference, as relMSE, and the standard deviation that it leaves in errors net of it: the same for all settings of a scene."""
+
+    whole: float
+    doubt: float
+
+    def row(self) -> dict:
+        """The fields of a row."""
+        return {"reference_noise": self.whole, "reference_doubt": self.doubt}
+
+
 Measure = Callable[[Candidate], None]  # one more run
 
 
@@ -166,10 +178,18 @@ def climb(ladder: Sequence[Setting], candidates: list[Candidate], targets: Seque
 
 
 def repeat(autos: Sequence[Candidate], candidates: Sequence[Candidate], targets: Sequence[float], repeats: int, measure: Measure) -> None:
-    """Turns of all that may still win, and of `auto`, until each of them has `repeats` runs."""
+    """Turns of all that may still win, and of `auto` where there may be a ratio to tell, until each of them has `repeats` runs.
+
+    autos: one for each target.  A long render towards a target that neither reaches tells nothing more when it is made again.
+    """
     while True:
-        few = [auto for auto in autos if len(auto.seconds) < repeats]
-        close = [c for c in candidates if len(c.seconds) < repeats and any(may_win(c, candidates, target) for target in targets)]
+        close = [c for c in candidates if any(may_win(c, candidates, target) for target in targets)]
+        few = [
+            auto
+            for auto, target in zip(autos, targets)
+            if len(auto.seconds) < repeats and auto.error <= NEAR * WITHIN * target and any(may_win(c, candidates, target) for c in close)
+        ]
+        close = [c for c in close if len(c.seconds) < repeats]
         if not few and not close:
             return
         for pair in zip_longest(few, close):
@@ -247,7 +267,7 @@ def _scene_rows(
         if ladder is not None:
             skipped.append(climb(ladder, candidates, targets, measure))
     repeat(autos, candidates, targets, repeats, measure)
-    label, noise = _label(name), truth.noise(LAYER)
+    label, noise = _label(name), Noise(truth.noise(LAYER), truth.doubt(LAYER))
     rows = [_point_row(label, size, candidate, noise) for candidate in (*autos, *candidates)]
     rows += [
         {"suite": "grid-skipped", "case": f"{label}: {reason}", "value": None, "unit": "", "scene": label} for reason in skipped if reason
@@ -256,7 +276,7 @@ def _scene_rows(
     return rows + [ratio_row(label, is_unseen(source), *goal, candidates, least, noise) for goal in zip(targets, autos)]
 
 
-def _point_row(scene: str, size, candidate: Candidate, noise: float) -> dict:
+def _point_row(scene: str, size, candidate: Candidate, noise: Noise) -> dict:
     return {
         "suite": "grid",
         "scene": scene,
@@ -268,23 +288,23 @@ def _point_row(scene: str, size, candidate: Candidate, noise: float) -> dict:
         "seconds": candidate.time,
         **{metric: candidate.figure(metric) for metric in METRICS},
         "invalid": max(errors["invalid"] for errors in candidate.errors),
-        "reference_noise": noise,
         "runs": len(candidate.seconds),
+        **noise.row(),
     }
 
 
 def ratio_row(
-    scene: str, unseen: bool, target: float, auto: Candidate, candidates: Sequence[Candidate], least: Sequence[Setting], noise: float
+    scene: str, unseen: bool, target: float, auto: Candidate, candidates: Sequence[Candidate], least: Sequence[Setting], noise: Noise
 ) -> dict:
     """Seconds of `auto` by those of the best setting of a target, if there is one, and `auto` ends near enough to it.
 
-    least: first rungs of the ladders: where one of them is the best, less might have done.  noise: of the reference, as relMSE; said where it is above a
-    tenth of the target (design.md, section 6).
+    least: first rungs of the ladders: where one of them is the best, less might have done.  noise: said where its doubt is above a tenth of the
+    target.
     """
     found, kept = best(candidates, target), auto.error <= WITHIN * target
     notes = [f"auto ends at {auto.error:.2g}" + ("" if kept else f", more than {WITHIN:g} times that")]
     row = {"suite": "auto-to-best", "case": "", "value": auto.time, "unit": "s", "scene": scene, "unseen": SEEN[unseen], "target": target}
-    row |= {"relmse": auto.error, "kept": kept, "reference_noise": noise}
+    row |= {"relmse": auto.error, "kept": kept, **noise.row()}
     if found is None:
         closest = min(candidates, key=lambda candidate: candidate.error)
         notes.append(f"no setting reaches it ({closest.title}: {closest.error:.2g} in {closest.time:.2g} s)")
@@ -292,8 +312,8 @@ def ratio_row(
         notes.append(f"best: {found.title}, {found.error:.2g}" + (", the least of its numbers" if found.setting in least else ""))
         row |= {"peer_value": found.time, "setting": found.title, "setting_relmse": found.error, "least": found.setting in least}
         row |= {"ratio": auto.time / found.time} if kept else {}
-    if noise > target / 10:
-        notes.append(f"noise of the reference: {noise:.1e}")
+    if noise.doubt > target / 10:
+        notes.append(f"all errors here +- {noise.doubt:.1g} by the noise of the reference")
     return row | {"case": f"{scene} ({SEEN[unseen]}), relMSE {target:g}: {'; '.join(notes)}"}
 
 

@@ -103,6 +103,23 @@ def test_net_relmse_removes_the_noise_of_the_reference():
     assert metrics.reference_noise(half_a, half_b, truth) == pytest.approx(expected, rel=0.02)
 
 
+def test_doubt_is_how_far_net_errors_scatter():
+    rng = np.random.default_rng(6)
+    truth = np.linspace(0.1, 1, 24 * 24).reshape(24, 24, 1).repeat(3, axis=2)
+    test = truth * (1 + rng.normal(0, 0.02, truth.shape))
+
+    def measured(samples):
+        # One error for all channels, as light has it, and now and then a large one.
+        errors = [rng.normal(0, 0.5, (24, 24, 1)) * rng.choice((1, 4), (24, 24, 1), p=(0.95, 0.05)) / samples**0.5 for _ in range(2)]
+        halves = [truth * (1 + error) for error in errors]
+        return metrics.net_relmse(test, *halves, truth), metrics.reference_doubt(*halves, truth)
+
+    few, many = (np.array([measured(samples) for _ in range(300)]) for samples in (1, 4))
+    for found in (few, many):
+        assert found[:, 0].std() == pytest.approx(found[:, 1].mean(), rel=0.2)
+    assert few[:, 1].mean() == pytest.approx(4 * many[:, 1].mean(), rel=0.2)
+
+
 def test_net_relmse_without_noise_is_relmse(reference):
     x = reference * 1.2
     assert metrics.net_relmse(x, reference, reference) == pytest.approx(metrics.relmse(x, reference))
