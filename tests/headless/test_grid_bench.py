@@ -63,7 +63,7 @@ def test_the_best_is_the_quickest_that_reaches_the_target():
 
 
 def test_medians_decide():
-    lucky, steady = candidate("a", [1.0, 1.0, 1.0], 0.01, 0.03, 0.03), candidate("b", [9.0, 2.0, 2.0], 0.019, 0.019, 0.5)
+    lucky, steady = candidate("a", [1.0, 1.0, 1.0], 0.01, 0.03, 0.03), candidate("b", [2.0, 1.0, 9.0], 0.019, 0.019, 0.5)
     assert best([lucky, steady], 0.02) is steady and steady.time == 2.0
 
 
@@ -76,13 +76,14 @@ def test_a_ladder_is_left_where_all_targets_are_reached():
 
 
 def test_a_ladder_is_left_where_it_is_slower_than_the_best_of_every_target():
-    done = [candidate("a", 1.0, 0.04), candidate("a", 2.0, 0.019), candidate("a", 4.0, 0.009)]
+    done = [candidate("a", 1.0, 0.04), candidate("a", 2.0, 0.016), candidate("a", 4.0, 0.008)]
     measure, turns = measured({"1": [(5.9, 0.04)], "2": [(6.1, 0.03)], "4": [(20.0, 0.02)]})
     assert "6.1 s" in climb([setting("b", name) for name in "124"], list(done), TARGETS, measure)
     assert turns == ["1", "2"]  # 5.9 s is within the noise of 4 s
-    # Where no setting reaches the smallest target, none is too slow.
-    measure, turns = measured({"1": [(5.9, 0.04)], "2": [(60.0, 0.03)], "4": [(200.0, 0.02)]})
-    assert climb([setting("b", name) for name in "124"], list(done[:2]), TARGETS, measure) is None and turns == ["1", "2", "4"]
+    # Where no setting reaches the smallest target, or one by a hair in its one run, none is too slow.
+    for found in (done[:2], [*done[:2], candidate("a", 4.0, 0.0099)]):
+        measure, turns = measured({"1": [(5.9, 0.04)], "2": [(60.0, 0.03)], "4": [(200.0, 0.02)]})
+        assert climb([setting("b", name) for name in "124"], list(found), TARGETS, measure) is None and turns == ["1", "2", "4"]
 
 
 def test_a_ladder_is_left_where_no_more_samples_reach_the_largest_target():
