@@ -252,10 +252,13 @@ class Picture:
         One sees the light as it is, and the albedo beside it.  A blur would take textures away, and is left out.
         """
         ratio = self._by_ratio(cleaned, threads)
-        if not denoiser.available or not ratio.any():
+        known = (self.foreseen > 0) | (self.albedo <= 0)
+        if not denoiser.available and known.all():
             return ratio
         radiance = cleaned(self.diffuse_indirect, self.albedo, clean_aux=True) * (self.albedo > 0)
-        return np.float32(0.5) * (ratio + radiance)
+        # Where nothing was foreseen, as of light that comes by few ways, there is no ratio.
+        filled = np.where(known, ratio, radiance)
+        return np.float32(0.5) * (filled + radiance) if denoiser.available else filled
 
     def _by_ratio(self, cleaned: Callable[..., np.ndarray], threads: int) -> np.ndarray:
         """The diffuse indirect light without noise, by its ratio to what is foreseen.

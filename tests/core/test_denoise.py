@@ -92,6 +92,18 @@ def test_one_bad_pixel_does_not_spoil_the_picture(denoiser):
     np.testing.assert_allclose(clean, 1, atol=0.05)
 
 
+@pytest.mark.parametrize("part", [0, 0.5])
+@pytest.mark.parametrize("name", ["denoiser", "blurrer"])
+def test_light_where_none_was_foreseen_stays(request, name, part):
+    """Nothing may be foreseen of light that came by few ways, in the whole picture or in a part of it."""
+    one, none = np.ones((32, 32, 3), np.float32), np.zeros((32, 32, 3), np.float32)
+    foreseen = one.copy()
+    foreseen[:, int(32 * part) :] = 0
+    picture = Picture(none, one, none, one, none, one, one, one, foreseen, none, none[..., 0])
+    clean = picture.denoised(request.getfixturevalue(name), 2).diffuse_indirect
+    np.testing.assert_allclose(clean, 1, rtol=0.02)
+
+
 def test_black_pictures_stay_black(denoiser):
     none = np.zeros((20, 30, 3), np.float32)
     noisy = Picture(none, none + 1, none, none, none, none, none, none, none, none, none[..., 0])
