@@ -37,6 +37,7 @@ from ..surfaces.sheen import factors
 from ..surfaces.terminator import LOW, lift
 from ..surfaces.visibility import OUTSIDE, nearest_surface, transmittance1
 from ..threads import Progress, run_chunks
+from .departures import REFLECTS, VARIED, differs, is_patterned, place_for_world, place_of, position_at, surface_at
 from .escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray, no_gather_rays
 from .links import is_hidden_alike, lights
 from .lookup import can_be_met, emitter_density, emitter_of, share_of
@@ -64,7 +65,7 @@ _SHORT = np.float32(1.0 - 1e-5)
 class Receivers(NamedTuple):
     """N points to be lit, as `view.points.ShadingPoints`.
 
-    The arrays from wo to albedo are empty where no point has a lobe; spread is (N, 0, 3) where each has one place, and so is turned.
+    The arrays from wo to albedo are empty where no point has a lobe; spread is (N, 0, 3) where each has one place, and so are facet, varied and turned.
     triangle: -1 where rays leave from the facets themselves.
     gathered, met, gather_key: count, met, and (seed, first) of `GatherRays`.
     """
@@ -80,6 +81,8 @@ class Receivers(NamedTuple):
     roughness: np.ndarray
     albedo: np.ndarray
     spread: np.ndarray
+    facet: np.ndarray
+    varied: np.ndarray
     turned: np.ndarray
     tilt: np.ndarray
     rough: np.ndarray
@@ -322,6 +325,7 @@ class _Block(NamedTuple):
     members, cdf: (B, CUT), size: (B,), the cut through the tree of emitters.
     lobe: (B, LOBE) float32.  drawn: (B,) int64, rays drawn from the lobe.  expected: (B, G) float32, samples beside those.
     number: (B, G) float32, samples of each group on average.
+    patterned: (B, G) float32, mean of `ShadingPoints.varied` over the albedos at the places that a group's samples leave from.
     """
 
     estimate: np.ndarray
@@ -335,6 +339,7 @@ class _Block(NamedTuple):
     drawn: np.ndarray
     expected: np.ndarray
     number: np.ndarray
+    patterned: np.ndarray
 
 
 class _Rays(NamedTuple):
@@ -365,7 +370,7 @@ def _new_block(points, groups):
         np.zeros((points, groups), f), np.zeros((points, groups), f), np.zeros((points, groups), i), np.zeros(points, i),
         np.empty((points, CUT), i), np.empty((points, CUT), f), np.empty(points, np.int64),
         np.full((points, LOBE), -_1), np.zeros(points, np.int64), np.zeros((points, groups), f),
-        np.zeros((points, groups), f),
+        np.zeros((points, groups), f), np.zeros((points, groups), f),
     )  # fmt: skip
 
 
@@ -397,11 +402,24 @@ def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, bloc
             )
         else:
             block.estimate[k, g] = group_estimate(emitters, g, px, py, pz, around, sx, sy, sz)
+            for j in range(points.varied.shape[1]):  # what the one normal is turned from another may face
+                if not block.estimate[k, g] > _0 and differs(points, i, j):
+                    ax, ay, az, _, _, _, _ = surface_at(points, i, j)
+                    block.estimate[k, g] = group_estimate(emitters, g, px, py, pz, around, ax, ay, az)
             if not _counts(scene, emitters.groups[g], points.triangle[i], len(points.wo) > 0 and _has_lobe(points, i)):
                 block.estimate[k, g] = _0
     deal(block.estimate[k], samples, to_unit(hash_combine(hash_combine(seed, i), first)), block.count[k], block.weight[k])
     for g in range(len(emitters.groups)):
         block.number[k, g] = _1 / block.weight[k, g] if block.weight[k, g] > _0 else _0
+        block.patterned[k, g] = _0
+        n = block.count[k, g]
+        if n > 0 and is_patterned(points, i):
+            scramble = hash_combine(hash_combine(seed, i), g)
+            index = first * _samples_a_pass(block.weight[k, g])
+            albedo = _0
+            for sample in range(n):
+                albedo += points.varied[i, place_of(points, i, index + sample, scramble), REFLECTS]
+            block.patterned[k, g] = albedo / np.float32(n)
     if len(points.wo) > 0:
         set_point_lobe(points, i, block.lobe[k])
         block.drawn[k] = reflection_count(block.lobe[k], points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], reflections)
@@ -468,42 +486,50 @@ def _is_world(emitters, g):
 
 
 @inlined
-def _place(points, i, index, scramble):
-    """One of the places of point i, by the sample's number."""
-    px, py, pz = points.position[i, 0], points.position[i, 1], points.position[i, 2]
-    places = points.spread.shape[1] + 1
-    if places > 1:
-        # All of them in turn, in a new order each time: later coordinates of the sequence would take as long as the rest of the sample.
-        place = np.int64((np.uint32(index) + hash_combine(scramble, np.uint32(index) // np.uint32(places))) % np.uint32(places))
-        if place > 0:
-            px += points.spread[i, place - 1, 0]
-            py += points.spread[i, place - 1, 1]
-            pz += points.spread[i, place - 1, 2]
-    return px, py, pz
+def _pattern_weight(points, i, place, mean, count):
+    """Weight of the light at one of the places of point i for its albedo, of `count` samples with the mean of `varied` given.
+
+    The weights of all samples are 1 on average, so that even light shows the mean albedo without noise, and what they add is n / (n - 1) times the
+    covariance of albedo and light at n places: as much as that of all places, in the mean.
+    """
+    n = min(count, points.spread.shape[1] + 1)
+    if n < 2:
+        return _1
+    return max(_0, _1 + np.float32(n) / np.float32(n - 1) * (points.varied[i, place, REFLECTS] - mean))
 
 
 @inlined
-def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b, w, shine, turn, rays, n):
-    """Ray n from p to the light (r, g, b) of emitter e in the direction d, weighed by w, for lobes by `shine` -> n + 1, or n where none of it can arrive."""
+def _samples_a_pass(weight):
+    """By how many samples of a weight the passes of a group are apart: rounded up, where they vary."""
+    return np.int64(_1 / weight + np.float32(0.999))
+
+
+@inlined
+def _put(scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, g, b, w, shine, turn, rays, n):
+    """Ray n from a place of point i to the light (r, g, b) of emitter e in the direction d, weighed by w, for lobes by `shine` -> n + 1, or n where none of it can arrive."""
     emitters = scene.emitters
+    px, py, pz = position_at(points, i, place)
     sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
-    gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
-    cosine, across = sx * dx + sy * dy + sz * dz, gx * dx + gy * dy + gz * dz
-    if cosine <= _0 or not max(r, g, b) > _0:
+    nx, ny, nz, gx, gy, gz, triangle = sx, sy, sz, points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.triangle[i]
+    if place > 0 and emitters.kind[e] != WORLD and points.varied.shape[1] > 0:
+        nx, ny, nz, gx, gy, gz, triangle = surface_at(points, i, place)
+    own, across = sx * dx + sy * dy + sz * dz, gx * dx + gy * dy + gz * dz
+    cosine = max(_0, nx * dx + ny * dy + nz * dz)
+    if max(own, cosine) <= _0 or not max(r, g, b) > _0:
         return n
     if across <= _0:  # from below the facet, yet above the smooth surface: by this ray alone, for no gather ray or ray of a lobe goes there
-        if points.tilt[i] > _0 or points.triangle[i] < 0 or emitters.kind[e] == WORLD:
+        if points.tilt[i] > _0 or triangle < 0 or emitters.kind[e] == WORLD:
             return n
     elif points.gathered[i] > 0 and emitters.kind[e] == TRIANGLE and is_hidden_alike(emitters, e):
         w *= share_of(
-            aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz), _gather_density(points.gathered[i], cosine)
+            aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz), _gather_density(points.gathered[i], own)
         )
     light, glossy, ray = rays.light[n], rays.glossy[n], rays.ray[n]
     cosine *= _unevenness(points, i, dx, dy, dz)
     light[0], light[1], light[2] = w * cosine * r, w * cosine * g, w * cosine * b
     if _is_sheen(points, i):
         light[0], light[1], light[2] = _by_sheen(points, i, dx, dy, dz, light[0], light[1], light[2])
-    if block.lobe[k, ALPHA] > _0 and shine > _0 and not (emitters.flags[e] & SHARP and is_turned(points, i)):
+    if block.lobe[k, ALPHA] > _0 and shine > _0 and own > _0 and not (emitters.flags[e] & SHARP and is_turned(points, i)):
         drawn = block.drawn[k] if across > _0 else np.int64(0)
         fr, fg, fb = _lobe_share(emitters, e, block.lobe[k], drawn, block.expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
         glossy[0], glossy[1], glossy[2] = shine * fr * r, shine * fg * g, shine * fb * b
@@ -511,12 +537,12 @@ def _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, g, b
         glossy[0] = glossy[1] = glossy[2] = _0
     if emitters.flags[e] & GLOSSY_ONLY:
         light[0] = light[1] = light[2] = _0
-        if not max(glossy[0], glossy[1], glossy[2]) > _0:
-            return n
+    if not max(light[0], light[1], light[2], glossy[0], glossy[1], glossy[2]) > _0:
+        return n
     ray[3], ray[4], ray[5], ray[6] = dx, dy, dz, -_1
     if emitters.flags[e] & CASTS_SHADOW:
         ray[0], ray[1], ray[2], ray[3], ray[4], ray[5], ray[6] = _shadow_ray_from(
-            scene, points.triangle[i], e, u, v, px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz, t, across
+            scene, triangle, e, u, v, px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz, t, across
         )
     rays.point[n], rays.column[n], rays.turn[n], rays.kinds[n] = k, 3 * emitters.light_group[e], turn, emitters.shadow_kinds[e]
     return n + 1
@@ -540,10 +566,15 @@ def _aim(scene, points, start, size, block, seed, first, rows, surface, rays):
                     continue
                 i = start + k
                 scramble = hash_combine(hash_combine(seed, i), g)
-                # Later passes go on where this group's samples (rounded up, where they vary) end.
-                index = first * np.int64(_1 / block.weight[k, g] + np.float32(0.999)) + sample
-                px, py, pz = _place(points, i, index, scramble)
+                # Later passes go on where this group's samples end.
+                index = first * _samples_a_pass(block.weight[k, g]) + sample
+                place = place_for_world(points, i, index, scramble) if world else place_of(points, i, index, scramble)
+                px, py, pz = position_at(points, i, place)
                 sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+                part = _1
+                if points.varied.shape[1] > 0 and not world:  # whose light varies little within a pixel, and gather rays know one normal
+                    sx, sy, sz, _, _, _, _ = surface_at(points, i, place)
+                    part = _pattern_weight(points, i, place, block.patterned[k, g], block.count[k, g])
                 e = emitters.groups[g]
                 w = block.weight[k, g]
                 if e < 0:
@@ -556,7 +587,9 @@ def _aim(scene, points, start, size, block, seed, first, rows, surface, rays):
                     w *= rarity
                 u1, u2 = sobol(index, 0, scramble), sobol(index, 1, scramble)
                 dx, dy, dz, t, r, gr, b, u, v = sample_emitter(emitters, e, px, py, pz, sx, sy, sz, u1, u2, rows, surface)
-                n = _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, t, u, v, r, gr, b, w, w, sample if world else -1, rays, n)
+                n = _put(
+                    scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, gr, b, part * w, w, sample if world else -1, rays, n
+                )  # fmt: skip
         if world:
             n = _add_gathered(scene, points, start, size, block, g, rays, n)
     return n
@@ -579,7 +612,7 @@ def _add_gathered(scene, points, start, size, block, g, rays, n):
             r, gr, b = world_radiance(emitters.world, dx, dy, dz)
             before = n
             n = _put(
-                scene, points, block, i, k, e, points.position[i, 0], points.position[i, 1], points.position[i, 2], dx, dy, dz,
+                scene, points, block, i, k, e, np.int64(0), dx, dy, dz,
                 np.float32(np.inf), _0, _0, r, gr, b, _1, _0, block.first[k] + s, rays, n,
             )  # fmt: skip
             if n > before and points.met[i, s] & ESCAPED:
@@ -612,7 +645,8 @@ def _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, s
                 key = scramble
                 if guided:
                     key, index = hash_combine(scramble, _GUIDED), first * later + s
-                px, py, pz = _place(points, i, index, key)
+                place = place_for_world(points, i, index, key)
+                px, py, pz = position_at(points, i, place)
                 u1, u2 = sobol(index, 0, key), sobol(index, 1, key)
                 if guided:
                     dx, dy, dz, density = draw(guide, u1, u2)
@@ -627,7 +661,9 @@ def _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, s
                         own = number * world_density(emitters.world, sx, sy, sz, dx, dy, dz)
                         even = _gather_density(gathered, sx * dx + sy * dy + sz * dz)
                         w *= own / (own + even)
-                n = _put(scene, points, block, i, k, e, px, py, pz, dx, dy, dz, np.float32(np.inf), _0, _0, r, gr, b, w, shine, -1, rays, n)
+                n = _put(
+                    scene, points, block, i, k, e, place, dx, dy, dz, np.float32(np.inf), _0, _0, r, gr, b, w, shine, -1, rays, n
+                )  # fmt: skip
     return n
 
 
@@ -863,7 +899,7 @@ def direct_light(
         first: number of the pass; passes of one seed and sample count go on in the same sequences.
         reflections: most rays drawn from a point's lobe; where above 0, the light that they find is theirs to add
             (`methods.glossy.reflect`, called with the same numbers).
-        lobes: whether the points' lobes matter at all; without, they need the arrays position, ns, ng and error only (and may have spread and tilt; rough surfaces are lit as smooth ones).
+        lobes: whether the points' lobes matter at all; without, they need the arrays position, ns, ng and error only (and may have spread, facet, varied and tilt; rough surfaces are lit as smooth ones).
         apart: whether to tell apart what comes from lamps with sharp shadows (`sharp_emitters`), if there are any.
         gathered: gather rays that the points have traced, which then count for what they find of the world and of shining surfaces; None for none.
 
@@ -879,10 +915,12 @@ def direct_light(
         none = np.zeros((0, 3), np.float32)
         tilt, rough = (getattr(points, name, np.zeros(len(points.position), np.float32)) for name in ("tilt", "rough"))
         spread = getattr(points, "spread", np.zeros((len(points.position), 0, 3), np.float32))
+        facet = getattr(points, "facet", np.zeros((len(points.position), 0), np.int32))
+        varied = getattr(points, "varied", np.zeros((len(points.position), 0, VARIED), np.float32))
         entered = np.zeros(len(points.position), np.uint8)
         triangle = getattr(points, "triangle", np.full(len(points.position), -1, np.int32))
         receivers = Receivers(
-            points.position, points.ns, points.ng, points.error, triangle, none, none, none, np.zeros(0, np.float32), none, spread,
+            points.position, points.ns, points.ng, points.error, triangle, none, none, none, np.zeros(0, np.float32), none, spread, facet, varied,
             np.zeros((0, 0, 3), np.float32), tilt, rough, np.zeros((0, 4), np.float32), np.zeros((0, 4), np.float32), entered, *others,
         )  # fmt: skip
     receivers = Reference(receivers)

@@ -7,9 +7,11 @@ by the rectangle: its long tails stay as they are, which a rougher GGX lobe (Tok
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from ..jit import kernel
+from ..jit import kernel, leaf
 from ..rays.packet import new_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine
@@ -18,6 +20,7 @@ from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, flattened_lobe, set_lobe
 from ..surfaces.program import new_registers
 from ..threads import run_chunks
+from .departures import on_one_facet, position_at, surface_at
 from .direct import passed, shadow_ray
 from .links import lights
 from .sample import sample_emitter
@@ -25,7 +28,20 @@ from .tables import CASTS_SHADOW, SEEN_BY_GLOSSY, SHARP
 
 _CHUNK = 2048  # points
 _SEED = np.uint32(0x51A9)
+# Lobes so many times as wide as the pixel's normals are found from the normals of a few places: stretched, they would lose what
+# normals have in common with a low lamp.
+WIDE = np.float32(1.0)
 _0 = np.float32(0.0)
+
+
+@leaf
+def _set_lobe(points, i, nx, ny, nz, gx, gy, gz, lobe):
+    """The lobe of point i about the shading normal n on a facet with the normal g."""
+    set_lobe(
+        lobe, nx, ny, nz, gx, gy, gz, points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], points.roughness[i],
+        points.f0[i, 0], points.f0[i, 1], points.f0[i, 2], points.f90[i, 0], points.f90[i, 1], points.f90[i, 2],
+        points.gloss[i, 0], points.gloss[i, 1], points.gloss[i, 2], points.gloss[i, 3],
+    )  # fmt: skip
 
 
 @kernel
@@ -35,8 +51,8 @@ def _highlights_chunk(scene, points, which, lamps, begin, end, seed, out):
     packet = new_packet()
     rows = new_registers(scene.materials)
     surface = np.zeros(SURFACE, np.float32)
-    lobe = np.zeros(LOBE, np.float32)
-    half = out.shape[1] // 2
+    lobe, still = np.zeros(LOBE, np.float32), np.zeros(3, np.float32)
+    glass = out.shape[1] // 2
     places = points.spread.shape[1] + 1
     part = np.float32(1.0 / places)
     cast = 0
@@ -47,19 +63,19 @@ def _highlights_chunk(scene, points, which, lamps, begin, end, seed, out):
         key = hash_combine(hash_combine(seed, _SEED), i)
         turned = points.turned[i]
         nx, ny, nz = points.ns[i, 0] + turned[0, 0], points.ns[i, 1] + turned[0, 1], points.ns[i, 2] + turned[0, 2]
-        set_lobe(
-            lobe, nx, ny, nz, gx, gy, gz, points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], points.roughness[i],
-            points.f0[i, 0], points.f0[i, 1], points.f0[i, 2], points.f90[i, 0], points.f90[i, 1], points.f90[i, 2],
-            points.gloss[i, 0], points.gloss[i, 1], points.gloss[i, 2], points.gloss[i, 3],
-        )  # fmt: skip
+        _set_lobe(points, i, nx, ny, nz, gx, gy, gz, lobe)
         if not lobe[ALPHA] > _0:
             continue
+        half = turned[1]
+        wide = lobe[ALPHA] >= WIDE * np.float32(math.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2]))
+        along, across = (still, still) if wide else (turned[1], turned[2])
         for place in range(places):
-            px, py, pz = points.position[i, 0], points.position[i, 1], points.position[i, 2]
-            if place > 0:
-                px += points.spread[i, place - 1, 0]
-                py += points.spread[i, place - 1, 1]
-                pz += points.spread[i, place - 1, 2]
+            px, py, pz = position_at(points, i, place if wide or on_one_facet(points, i, place) else np.int64(0))
+            if wide:
+                nx, ny, nz, gx, gy, gz, _ = surface_at(points, i, place)
+                _set_lobe(points, i, nx, ny, nz, gx, gy, gz, lobe)
+                if not lobe[ALPHA] > _0:
+                    continue
             for lamp in range(len(lamps)):
                 e = lamps[lamp]
                 if not lights(emitters, e, scene.object, points.triangle[i]):
@@ -68,7 +84,7 @@ def _highlights_chunk(scene, points, which, lamps, begin, end, seed, out):
                 dx, dy, dz, t, r, g, b, u, v = sample_emitter(emitters, e, px, py, pz, nx, ny, nz, u1, u2, rows, surface)
                 if nx * dx + ny * dy + nz * dz <= _0 or gx * dx + gy * dy + gz * dz <= _0 or not max(r, g, b) > _0:
                     continue
-                fr, fg, fb = flattened_lobe(lobe, turned[1], turned[2], dx, dy, dz)
+                fr, fg, fb = flattened_lobe(lobe, along, across, dx, dy, dz)
                 if not max(fr * r, fg * g, fb * b) > _0:
                     continue
                 tr = tg = tb = clear = np.float32(1.0)
@@ -81,9 +97,9 @@ def _highlights_chunk(scene, points, which, lamps, begin, end, seed, out):
                 out[i, c] += clear * r
                 out[i, c + 1] += clear * g
                 out[i, c + 2] += clear * b
-                out[i, c + half] += (np.float32(1.0) - clear) * r
-                out[i, c + half + 1] += (np.float32(1.0) - clear) * g
-                out[i, c + half + 2] += (np.float32(1.0) - clear) * b
+                out[i, c + glass] += (np.float32(1.0) - clear) * r
+                out[i, c + glass + 1] += (np.float32(1.0) - clear) * g
+                out[i, c + glass + 2] += (np.float32(1.0) - clear) * b
     return cast
 
 

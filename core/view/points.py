@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined, kernel
+from ..lamps.departures import VARIED
 from ..surfaces.layout import glossy_rise
 from ..threads import run_chunks
 
@@ -30,6 +31,9 @@ class ShadingPoints(NamedTuple):
     gloss: (N, 4) float32, `layout.GLOSS`.
     behind_glass: (N,) uint8, 1 where the view passes glass: the pixel shows all light of the point as transmitted light.
     spread: (N, SPREAD, 3) float32, where else the pixel shows the surface, as offsets from the position (m); 0 for nowhere.
+    facet: (N, SPREAD) int32, their triangles.
+    varied: (N, SPREAD + 1, VARIED) float32, by how much the shading normal differs from `ns` and the geometric one from `ng` at the position and at each
+        of these places, and the diffuse albedo from the mean of them all, as a part of that of all M samples, times 1 - 1 / M.
     turned: (N, 3, 3) float32, where a glossy pixel shows a surface that turns: its mean shading normal less the point's, then the half axes of the
         rectangle of slopes about it that the pixel's normals fill, each as long as it is wide; else 0.
     tilt: (N,) float32, `layout.TILT` where bumps shadow the light, whose mean is in `albedo`; else 0.
@@ -52,6 +56,8 @@ class ShadingPoints(NamedTuple):
     roughness: np.ndarray
     behind_glass: np.ndarray
     spread: np.ndarray
+    facet: np.ndarray
+    varied: np.ndarray
     turned: np.ndarray
     tilt: np.ndarray
     rough: np.ndarray
@@ -62,12 +68,12 @@ class ShadingPoints(NamedTuple):
 
     @staticmethod
     def allocate(n: int) -> ShadingPoints:
-        """Room for n points, not set but for `behind_glass`, `spread`, `turned`, `tilt`, `rough`, `sheen`, `gloss`, `shown` and `entered`, which are 0."""
+        """Room for n points, not set but for `behind_glass`, `spread`, `facet`, `varied`, `turned`, `tilt`, `rough`, `sheen`, `gloss`, `shown` and `entered`, which are 0."""
         f, e = np.float32, np.empty
         return ShadingPoints(
             e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32),
-            e((n, 3), f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f), np.zeros(n, np.uint8), np.zeros((n, SPREAD, 3), f), np.zeros((n, 3, 3), f),
-            np.zeros(n, f), np.zeros(n, f), np.zeros((n, 4), f), np.zeros((n, 4), f), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
+            e((n, 3), f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f), np.zeros(n, np.uint8), np.zeros((n, SPREAD, 3), f), np.zeros((n, SPREAD), np.int32), np.zeros((n, SPREAD + 1, VARIED), f),
+            np.zeros((n, 3, 3), f), np.zeros(n, f), np.zeros(n, f), np.zeros((n, 4), f), np.zeros((n, 4), f), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
         )  # fmt: skip
 
     @staticmethod
@@ -102,8 +108,20 @@ def blank(points, i):
             points.spread[i, k, c] = _0
         for k in range(3):
             points.turned[i, k, c] = _0
+    for k in range(SPREAD + 1):
+        for c in range(VARIED):
+            points.varied[i, k, c] = _0
+    for k in range(SPREAD):
+        points.facet[i, k] = 0
     for c in range(4):
         points.sheen[i, c] = points.gloss[i, c] = _0
+
+
+@inlined
+def further_member(chosen, number, members):
+    """Which of a surface's samples, taken in Sobol's order, are a point's further places beside the chosen one: four in succession cover the pixel evenly."""
+    places = SPREAD + 1
+    return (chosen // places * places + (chosen + number + 1) % places) % members
 
 
 @inlined

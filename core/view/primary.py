@@ -17,6 +17,7 @@ import numpy as np
 
 from ..film import SQUARE, Film
 from ..jit import inlined, kernel, leaf
+from ..lamps.departures import FACES, REFLECTS, TURNS
 from ..lamps.groups import LightGroups
 from ..lamps.links import object_links, receiver_sets
 from ..lamps.tables import WorldTable
@@ -33,7 +34,7 @@ from ..threads import Progress, run_chunks
 from .camera import camera_tables
 from .lamps import lamps_in_tile, visible_lamps
 from .mirrors import with_mirrors
-from .points import SPREAD, ShadingPoints, blank
+from .points import SPREAD, ShadingPoints, blank, further_member
 from .tile import (
     ALBEDO,
     BEYOND,
@@ -60,6 +61,7 @@ from .tile import (
     PANES,
     PLACE,
     POSITION,
+    REFLECTED_PART,
     ROUGH,
     SHADED,
     SHEENED,
@@ -79,7 +81,6 @@ MOST_MIRRORED = 4  # surfaces that a pixel shows by way of mirrors: a curved one
 WIDEST = np.float32(0.5)  # half width, as a tangent: beyond it a pixel shows most of a thing
 LEAST_MEMBERS = 4  # samples of a surface that tell how its normals are spread
 FLAT = np.float32(1e-9)  # squared distance of shading and geometric normal, at most, of a flat face
-SAME_FACET = np.float32(0.97)  # cosine of facets' normals that are lit alike, at least
 REFLECTING, COAT_POINTS, TRANSLUCENT_POINTS, FROSTED_POINTS = 0, 1, 2, 3  # kinds of shading points, in the order in which they are made
 EVEN = 4  # samples a pixel: fewer tell too little of what varies, and every pixel has the same
 
@@ -181,14 +182,20 @@ def _mirrored_light(tile, lane, begin, end):
 
 
 @inlined
-def _on_one_facet(sample, a, b):
-    """Whether light that reaches one of two samples of a smoothly shaded surface leaves the other's facet as well: beyond a hard edge it may be behind it."""
-    cosine = (
-        sample[a, FACING] * sample[b, FACING]
-        + sample[a, FACING + 1] * sample[b, FACING + 1]
-        + sample[a, FACING + 2] * sample[b, FACING + 2]
-    )
-    return cosine > SAME_FACET
+def _compare(varied, own, whole, members):
+    """Makes of the albedos in `ShadingPoints.varied` by how much they differ from their mean.
+
+    own: albedo at the first place.  whole: that of all `members`, together.
+    """
+    mean = own
+    for j in range(1, len(varied)):
+        mean += varied[j, REFLECTS]
+    mean /= np.float32(len(varied))
+    varied[0, REFLECTS] = own
+    # Of few members the places are nearly all, which have no more in common with the light than all have.
+    scale = (members - np.float32(1.0)) / whole if whole > 0 else np.float32(0.0)
+    for j in range(len(varied)):
+        varied[j, REFLECTS] = scale * (varied[j, REFLECTS] - mean)
 
 
 @leaf
@@ -311,12 +318,19 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
                 points.albedo[i, c] = np.float32(0.0)
         points.error[i] = sample[best, ERROR]
         for j in range(SPREAD):
-            other = member[(chosen + (j + 1) * members // (SPREAD + 1)) % members]
-            if not _on_one_facet(sample, best, other):
-                other = best
+            other = member[further_member(chosen, j, members)]
             points.error[i] = max(points.error[i], sample[other, ERROR])
             for c in range(3):
                 points.spread[i, j, c] = sample[other, PLACE + c] - sample[best, PLACE + c]
+                points.varied[i, j + 1, TURNS + c] = side * (sample[other, SHADED + c] - sample[best, SHADED + c])
+                points.varied[i, j + 1, FACES + c] = side * (sample[other, FACING + c] - sample[best, FACING + c])
+            points.varied[i, j + 1, REFLECTS] = sample[other, REFLECTED_PART]
+            points.facet[i, j] = triangles[lane, other, 0]
+        whole = np.float32(0.0)
+        # What lobes of diffuse light reflect goes by view and light at once, which direct light knows of the chosen member.
+        if turn == REFLECTING and sample[best, ROUGH] == 0 and sample[best, SHEENED + 3] == 0:
+            whole = group[k, G_ALBEDO] + group[k, G_ALBEDO + 1] + group[k, G_ALBEDO + 2]
+        _compare(points.varied[i], sample[best, REFLECTED_PART], whole, group[k, MEMBERS])
         shine = points.f0[i, 0] + points.f0[i, 1] + points.f0[i, 2] + points.f90[i, 0] + points.f90[i, 1] + points.f90[i, 2]
         if shine > 0 and turn <= COAT_POINTS:  # the straight way through glass knows no normal
             _turn(sample, member, members, chosen, points.turned[i])

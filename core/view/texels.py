@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import kernel, leaf
+from ..lamps.departures import FACES, TURNS
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import WIDTH, disable_ray, hit_t, hit_triangle, is_occluded, new_packet, set_ray
 from ..rays.trace import OPAQUE, intersect_packet, occluded_packet
@@ -30,7 +31,7 @@ from ..surfaces.program import MEAN_VIEW, evaluate, new_registers
 from ..threads import Progress, run_chunks
 from ..transport import Transport, is_translucent
 from .camera import pixel_sample
-from .points import SPREAD, ShadingPoints
+from .points import SPREAD, ShadingPoints, further_member
 from .tile import SAME_NORMAL, SAME_REACH
 
 ROWS = 16  # of texels a chunk
@@ -129,15 +130,17 @@ def cover(uv, y0, y1, width, samples, seed, found, weights):
 class _Samples(NamedTuple):
     """S samples of one texel: positions and geometric normals (S, 3), errors, footprints (m) and whether each counts (S,).
 
-    material: (S,) int32.  first: (S,) int32, the first sample that shows the same surface, -1 for those that do not count.
+    ns: (S, 3) float32, normals that corners interpolate.  triangle, material: (S,) int32.  first: (S,) int32, the first sample that shows the same surface, -1 for those that do not count.
     standing: (S,) int32, samples that each one stands for.  member: (S,) int32, scratch.
     """
 
     position: np.ndarray
     ng: np.ndarray
+    ns: np.ndarray
     error: np.ndarray
     footprint: np.ndarray
     valid: np.ndarray
+    triangle: np.ndarray
     material: np.ndarray
     first: np.ndarray
     standing: np.ndarray
@@ -148,7 +151,8 @@ class _Samples(NamedTuple):
 def _new_samples(samples):
     f = np.float32
     return _Samples(
-        np.empty((samples, 3), f), np.empty((samples, 3), f), np.empty(samples, f), np.empty(samples, f), np.empty(samples, np.uint8),
+        np.empty((samples, 3), f), np.empty((samples, 3), f), np.empty((samples, 3), f), np.empty(samples, f), np.empty(samples, f),
+        np.empty(samples, np.uint8), np.empty(samples, np.int32),
         np.empty(samples, np.int32), np.empty(samples, np.int32), np.empty(samples, np.int32), np.empty(samples, np.int32),
     )  # fmt: skip
 
@@ -300,10 +304,13 @@ def _spread_out(at, drawn, points, i):
     while at.member[chosen] != drawn:
         chosen += 1
     for j in range(SPREAD):
-        other = at.member[(chosen + (j + 1) * members // (SPREAD + 1)) % members]
+        other = at.member[further_member(chosen, j, members)]
         points.error[i] = max(points.error[i], at.error[other])
         for c in range(3):
             points.spread[i, j, c] = at.position[other, c] - at.position[drawn, c]
+            points.varied[i, j + 1, TURNS + c] = at.ns[other, c] - at.ns[drawn, c]
+            points.varied[i, j + 1, FACES + c] = at.ng[other, c] - at.ng[drawn, c]
+        points.facet[i, j] = at.triangle[other]
 
 
 @leaf
@@ -321,6 +328,10 @@ def _add_other_side(points, i, share, r, g, b, tr, tg, tb):
         points.f0[i, c] = points.f90[i, c] = _0
         for k in range(SPREAD):
             points.spread[i, k, c] = points.spread[j, k, c]
+            points.varied[i, k + 1, TURNS + c] = -points.varied[j, k + 1, TURNS + c]
+            points.varied[i, k + 1, FACES + c] = -points.varied[j, k + 1, FACES + c]
+    for k in range(SPREAD):
+        points.facet[i, k] = points.facet[j, k]
     points.error[i], points.roughness[i] = points.error[j], points.roughness[j]
     points.pixel[i], points.triangle[i] = points.pixel[j], points.triangle[j]
 
@@ -346,6 +357,10 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
                 x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, weights[k, s, 0], weights[k, s, 1])
                 at.position[s, 0], at.position[s, 1], at.position[s, 2] = x, y, z
                 at.ng[s, 0], at.ng[s, 1], at.ng[s, 2] = gx, gy, gz
+                sx, sy, sz = shading_normal(scene.corner_normals, triangle, weights[k, s, 0], weights[k, s, 1], gx, gy, gz)
+                if sx * gx + sy * gy + sz * gz < 0:
+                    sx, sy, sz = -sx, -sy, -sz
+                at.ns[s, 0], at.ns[s, 1], at.ns[s, 2], at.triangle[s] = sx, sy, sz, triangle
                 at.error[s], at.footprint[s], at.material[s] = error, footprint[found[k, s]], scene.material[triangle]
         inside = at.valid.astype(np.int64).sum()
         if inside == 0:
@@ -366,7 +381,7 @@ def shade_rows(scene, triangles, footprint, found, weights, y0, width, seed, mat
                 continue
             triangle, u, v = triangles[found[k, s]], weights[k, s, 0], weights[k, s, 1]
             gx, gy, gz = at.ng[s, 0], at.ng[s, 1], at.ng[s, 2]
-            sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+            sx, sy, sz = at.ns[s, 0], at.ns[s, 1], at.ns[s, 2]
             material = scene.material[triangle]
             mapped = scene.materials.flags[material] & NORMAL_MAPPED
             translucent = scene.materials.flags[material] & TRANSLUCENT

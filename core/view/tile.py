@@ -88,7 +88,7 @@ SHOWN, STRAIGHT, REFRACTED, REFLECTED = 1, 2, 4, 8
 LOOKING = SHOWN | 16  # shows a pane of frosted glass, whose lobe shows all that lies behind, and looks for more of it
 SURFACES, ALL_LIGHT = 1, 2  # what rows of their own show of a mirror's lobe
 # Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
-PLACE, ERROR, FACING, SHADED, TILTED, ROUGH, BEYOND, SHEENED, SAMPLE = 0, 3, 4, 7, 10, 11, 12, 13, 17
+PLACE, ERROR, FACING, SHADED, TILTED, ROUGH, BEYOND, SHEENED, REFLECTED_PART, SAMPLE = 0, 3, 4, 7, 10, 11, 12, 13, 17, 18
 MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY, G_THROUGH, G_FROST, G_GLOSS, G_COAT, G_COAT_F0, G_COAT_ROUGHNESS, G_COLUMNS = (
     0,
     1,
@@ -127,7 +127,7 @@ class Tile(NamedTuple):
     frost: (16, R) float32, width of the lobe in which a row of frosted glass shows what lies behind it, 0 for none; through: (16, R) uint8, as shown, of that lobe.
     lamps: (16, GLASS, G, 3) float32, light of the lamps in view, summed over the samples, by the surfaces of glass before it.
     out: (16, C) float32, sums of the pixels' layers.  nearest: (16,) int32, the row nearest to the camera, -1 for none.
-    sample: (16, R, SAMPLE) float32, position, its error, geometric and shading normal, tilt and diffuse roughness of each row, solids of glass that a view is in beyond it, and `ShadingPoints.sheen`.  group_of: (16, R) int32, which of the
+    sample: (16, R, SAMPLE) float32, position, its error, geometric and shading normal, tilt and diffuse roughness of each row, solids of glass that a view is in beyond it, `ShadingPoints.sheen`, and its diffuse albedo, all channels together.  group_of: (16, R) int32, which of the
     pixel's surfaces it shows, -1 for none.  groups: (16,) int32, how many there are.  first: (16, R) int32, the first row of each.
     group: (16, R, G_COLUMNS) float32, rows of each, sums of albedo, f0, f90, roughness, translucency, of what frosted glass lets through, of that by its lobe's width, of `layout.GLOSS`, and of coats and of them by their numbers.
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
@@ -663,6 +663,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             if surface[DIFFUSE_ROUGHNESS] > _0:
                 ar, ag, ab = diffuse_albedo(surface, cosine)
                 ar, ag, ab = ar * wr, ag * wg, ab * wb
+            sample[s, REFLECTED_PART] = lit * (ar + ag + ab)
             group[k, G_ALBEDO] += lit * ar
             group[k, G_ALBEDO + 1] += lit * ag
             group[k, G_ALBEDO + 2] += lit * ab

@@ -181,3 +181,44 @@ def test_no_dark_lines_along_hard_edges_that_are_shaded_smoothly():
     assert found["Direct"].mean() == pytest.approx(expected.mean(), rel=0.01)
     within = binary_erosion(expected > 0.3 * expected.max(), np.ones((3, 3)))
     assert (found["Direct"].mean(axis=2)[within] > 0.8 * expected[within]).all()
+
+
+def ridges(smooth, patterned, metallic):
+    """A floor of fine ridges below a low sun, seen from above, dark where it is turned away from the sun if it is patterned."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    columns, period, slope = 513, 0.125, 0.19
+    x = np.linspace(-2, 2, columns)
+    z = slope * period / (2 * math.pi) * np.sin(2 * math.pi * x / period)
+    vertices = [(a, y, b) for y in (-1.125, 1.125) for a, b in zip(x, z)]
+    faces = [(k, k + 1, columns + k + 1, columns + k) for k in range(columns - 1)]
+    mesh = bpy.data.meshes.new("Ridges")
+    mesh.from_pydata(vertices, [], faces)
+    if smooth:
+        mesh.shade_smooth()
+    colors = mesh.color_attributes.new("Color", "FLOAT_COLOR", "POINT")
+    lit = np.where(np.cos(2 * math.pi * x / period) < 0, 0.8, 0.2 if patterned else 0.8)
+    colors.data.foreach_set("color", np.repeat(np.tile(lit, 2), 4).astype(np.float32))
+    surface = material("Ridges", Roughness=0.8, Metallic=metallic)
+    attribute = surface.node_tree.nodes.new("ShaderNodeVertexColor")
+    attribute.layer_name = "Color"
+    principled = next(node for node in surface.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    surface.node_tree.links.new(attribute.outputs["Color"], principled.inputs["Base Color"])
+    mesh.materials.append(surface)
+    scene.collection.objects.link(bpy.data.objects.new("Ridges", mesh))
+    lamp(scene, "SUN", (0, 0, 5), (0, math.radians(72), 0), energy=3.0, angle=0.0)
+    look(scene, (0, 0, 5), (0, 0, 0), type="ORTHO", ortho_scale=4.0)
+    return scene
+
+
+@pytest.mark.parametrize("smooth, patterned, metallic", [(True, False, 0.0), (False, False, 0.0), (True, True, 0.0), (True, False, 1.0)])
+def test_coarse_pixels_have_the_light_of_what_they_show(smooth, patterned, metallic):
+    """A pixel's normals and albedo have something in common with its light, which one normal and the mean albedo would lose."""
+    scene = ridges(smooth, patterned, metallic)
+
+    def mean(size, seeds, samples):
+        arrays = extract_scene(scene, size=size)
+        settings = [RenderSettings(layers=("Direct",), denoise=False, pixel_samples=samples, seed=seed) for seed in range(seeds)]
+        return float(np.mean([render(arrays, s).layers["Direct"].mean(dtype=float) for s in settings]))
+
+    assert mean((16, 9), 12, 16) == pytest.approx(mean((512, 288), 1, 1), rel=0.015)
