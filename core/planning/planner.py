@@ -1,8 +1,9 @@
 """Method and numbers of one render, by what is asked for: a time, an error, or neither.
 
-A budget is spent on few large passes, of which the first tells what the others cost.  A target is reached by one pass, where a pilot foresees
-its error, or else in rounds of three, whose own estimate (`core.passes`) tells how many more samples are missing; nothing there depends on the
-clock, so that the same seed gives the same picture.  A pilot is the same scene in a picture so small that it costs little.
+A budget is spent on few large passes, of which the first tells what the others cost.  A target is reached by one pass, where it is so coarse that
+the fewest samples do, or a pilot foresees its error, or else in rounds of three, whose own estimate (`core.passes`) tells how many more samples are
+missing; nothing there depends on the clock, so that the same seed gives the same picture.  A pilot is the same scene in a picture so small that it
+costs little.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from ..denoise import Denoiser
-from ..passes import GROUPS, SLOPE, UNSEEN_NOISE, Passes, denoising_quality, share_of_error
+from ..passes import GROUPS, MANY_RAYS, SLOPE, UNSEEN_NOISE, Passes, denoising_quality, share_of_error
 from ..picture import Picture
 from ..scene import Camera
 from ..settings import RenderSettings
@@ -33,7 +34,11 @@ LEAP = 4.0  # most by which a pass is better than the one before: what it costs 
 DENOISING = {"fast": 0.8, "balanced": 1.1, "high": 1.8}
 PILOT_PIXELS, PILOT_QUALITY = 8_000, 0.25
 PILOT_SHARE = 0.1  # of a budget, at most
+# A target's pilot: what a pass begins with costs more than these pixels, and two tell the error nearly as well as three of twice as many (ten scenes).
+AIMING_PIXELS, AIMING = 4_000, 2
 SMALLER = 6  # times as many pixels as the pilot has make it worth while
+# relMSE that a picture of so many pixels has at most with the fewest samples (nine of ten scenes): for coarser targets no pilot is worth its time.
+COARSE, COARSE_PIXELS = 0.04, 57_600
 # Where not even the smallest pass fits, a smaller picture is lit, and enlarged by what the camera sees at full size (`core.enlarged`), at about
 # so much of the cost of a pixel (480x270: .07 in the living room, .12 in the atrium) and with so many primary samples.
 ENLARGING, ENLARGED_SAMPLES = 0.1, 4
@@ -51,9 +56,8 @@ SIZE_SLOPE = 0.35
 # relMSE of one denoised pass falls with its quality to the power of -ALONE_SLOPE (six scenes, .125 to 2: -.29 to -.66), without denoising of
 # -SLOPE.
 ALONE_SLOPE = 0.37
-ALONE = 3.0  # largest quality of a pass made by the pilot's word: three smaller ones have the same error in as much time, and tell it
+ALONE = 4.0  # largest quality of a pass made by the pilot's word: three smaller ones have the same error in as much time, and tell it
 NEAR_ENOUGH = 1.15  # times the target
-CERTAIN = 1.2  # how far below the target the pilot must see one pass, for it to be made alone
 GROWTH = 6.0  # most by which the samples grow in a round: the slope is not exact
 
 
@@ -120,12 +124,24 @@ class Planner:
         # With so few rays the denoiser is quick.
         return min(quick, self.cost.seconds(self.pixels, 1 - made))
 
+    @property
+    def coarse(self) -> bool:
+        """Whether the fewest samples are known to meet the target, in scenes as they usually are."""
+        settings = self.settings
+        if settings.target_error is None or not settings.denoise or settings.method != "importance-sampling":
+            return False
+        return settings.samples + settings.gather >= MANY_RAYS and COARSE * self._by_size(COARSE_PIXELS) <= settings.target_error
+
+    def _by_size(self, pixels: int) -> float:
+        """relMSE of a denoised picture by that of one of so many pixels."""
+        return (self.pixels / pixels) ** -SIZE_SLOPE
+
     def pilot_passes(self) -> int:
-        """How many passes of a pilot are worth their time: one tells the cost, three the error, none where the picture is small itself."""
+        """How many passes of a pilot are worth their time: one tells the cost, two the error, none where the picture is small itself."""
+        if self.settings.target_error is not None:
+            return 0 if self.pixels < SMALLER * AIMING_PIXELS or self.coarse else AIMING
         if self.pixels < SMALLER * PILOT_PIXELS:
             return 0
-        if self.settings.target_error is not None:
-            return GROUPS
         budget = self.settings.time_budget
         fits = budget is not None and self.cost.seconds(PILOT_PIXELS, PILOT_QUALITY) <= PILOT_SHARE * budget
         return int(fits)
@@ -135,8 +151,8 @@ class Planner:
         count = self.pilot_passes()
         if not count:
             return
-        small = reduced(camera, (self.pixels / PILOT_PIXELS) ** 0.5)
-        quality = PILOT_QUALITY if self.settings.target_error is None else LEAST
+        size, quality = (PILOT_PIXELS, PILOT_QUALITY) if self.settings.target_error is None else (AIMING_PIXELS, LEAST)
+        small = reduced(camera, (self.pixels / size) ** 0.5)
         found, begin = Passes(self.settings.threads), clock()
         for k in range(count):
             start = clock()
@@ -146,8 +162,8 @@ class Planner:
                 self.cost.observe(picture.depth.size, quality, clock() - start, pilot=True)
         height, width = picture.depth.shape
         self.pilot = {"size": [width, height], "quality": quality, "passes": count}
-        if count == GROUPS:
-            self.pilot["error"] = found.error(denoiser)
+        if count == AIMING:
+            self.pilot["error"] = found.error_of_one(denoiser)
         self.pilot["seconds"] = clock() - begin
 
     def lit_camera(self, camera: Camera, elapsed: float) -> Camera:
@@ -210,6 +226,9 @@ class Planner:
         if settings.target_error is None:
             self.reasons.append("neither a time nor an error was asked for: one pass with the numbers as they are")
             return 1.0
+        if self.coarse:
+            self.reasons.append("the target is coarse: the fewest samples usually have a smaller error")
+            return LEAST
         if not (self.pilot and self.pilot["error"] > 0):
             self.reasons.append("the picture is small: three passes with the fewest samples tell its error")
             return LEAST
@@ -218,16 +237,16 @@ class Planner:
     def _first_of_target(self, target: float) -> float:
         """By the error that the pilot found, in fewer pixels."""
         found, least = self.pilot["error"], self.pilot["quality"]
-        larger, slope = (self.pixels / math.prod(self.pilot["size"]), ALONE_SLOPE) if self.settings.denoise else (1.0, SLOPE)
-        three = found * larger**-SIZE_SLOPE
-        one = three / share_of_error(1 / GROUPS, self.settings.denoise)
+        slope = ALONE_SLOPE if self.settings.denoise else SLOPE
+        one = found * (self._by_size(math.prod(self.pilot["size"])) if self.settings.denoise else 1.0)
+        three = one * share_of_error(1 / GROUPS, self.settings.denoise)
 
         def wanted(error: float) -> float:
             return least * (error / target) ** (1 / slope)
 
-        quality = self._bounded(wanted(CERTAIN * one), up=True)
+        quality = self._bounded(wanted(one), up=True)
         self.foreseen = one * (quality / least) ** -slope
-        if quality <= ALONE and CERTAIN * self.foreseen <= target * (1 + 1e-6):
+        if quality <= ALONE and self.foreseen <= target * (1 + 1e-6):
             self.reasons.append(f"the pilot's relMSE is {found:.2g}: one pass of quality {quality:.3g} should have {self.foreseen:.2g}")
             self._say_when_better(self.foreseen, quality)
             return quality
@@ -274,9 +293,21 @@ class Planner:
         if self.foreseen is not None:
             passes.estimate = self.foreseen
             return None
+        if self.coarse and passes.count == 1 and self._met_by_one(passes, denoiser):
+            return None
         if passes.count % GROUPS:
             return self.passes[-1]["quality"]
         return self._next_round(passes, passes.error(denoiser, min(UNSEEN_NOISE, self.settings.target_error)))
+
+    def _met_by_one(self, passes: Passes, denoiser: Denoiser | None) -> bool:
+        """Whether the only pass has no more noise than is usual for such an error."""
+        error = passes.error_by_noise(denoiser) * self._by_size(COARSE_PIXELS)
+        if error > NEAR_ENOUGH * self.settings.target_error:
+            self.reasons.append(f"by its noise the picture's relMSE is about {error:.2g}: three passes tell it")
+            return False
+        passes.estimate = error
+        self._say_when_better(error, LEAST)
+        return True
 
     def _next_of_budget(self, left: float) -> float | None:
         whole = self.cost.quality(self.pixels, left)

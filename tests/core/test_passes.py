@@ -62,6 +62,19 @@ def test_estimate_sees_what_the_denoiser_does_wrong():
     assert passes_of(*(picture(noisy(0.25, k)) for k in range(3))).error(Tilted()) == pytest.approx(wrong, rel=0.1)
 
 
+def test_two_passes_tell_the_error_of_one():
+    # Noise of .1 in each of two passes, as it is; a denoiser's error whatever the noise.
+    two = passes_of(*(picture(noisy(0.1, k)) for k in range(2)))
+    assert two.error_of_one(None) == pytest.approx(0.01, rel=0.1)
+    wrong = ((Tilted.tilt - 1) ** 2).mean() * UNSEEN
+    assert two.error_of_one(Tilted()) == pytest.approx(wrong, rel=0.1)
+
+
+def test_more_noise_foretells_a_larger_error():
+    quiet, loud = (passes_of(picture(noisy(level, 1))).error_by_noise(Tilted()) for level in (0.3, 0.6))
+    assert loud > 1.5 * quiet > 0
+
+
 def test_what_a_denoiser_would_only_make_worse_is_left_as_it_is():
     quiet, loud = (passes_of(*(picture(noisy(level, k)) for k in range(3))) for level in (0.01, 0.5))
     assert quiet.error(Tilted()) == pytest.approx(0.01**2 / 3, rel=0.2)

@@ -12,7 +12,7 @@ from lumigate.core.pipeline import render
 from lumigate.core.planning import machine as machine_file
 from lumigate.core.planning.cost import BASE, MIDDLING, PassCost
 from lumigate.core.planning.machine import Machine, cached_machine, look_again
-from lumigate.core.planning.planner import LEAST, MOST, PILOT_PIXELS, Planner, reduced
+from lumigate.core.planning.planner import AIMING, AIMING_PIXELS, COARSE, COARSE_PIXELS, LEAST, MOST, Planner, reduced
 from lumigate.core.settings import QUALITIES, QUALITY_ERRORS, RenderSettings
 
 MACHINE = Machine(ray=1e-6, denoiser=0.01, denoiser_pixel=1e-6, threads=2)
@@ -94,8 +94,8 @@ def test_without_a_goal_one_pass_of_the_numbers_as_they_are():
 
 def flown(error, target=0.01, **settings):
     """A planner whose pilot found an error in a sixteenth of the pixels, and the quality of its first pass."""
-    planner = Planner(RenderSettings(target_error=target, **settings).with_defaults(), 16 * PILOT_PIXELS, None)
-    assert planner.pilot_passes() == GROUPS
+    planner = Planner(RenderSettings(target_error=target, **settings).with_defaults(), 32 * AIMING_PIXELS, None)
+    assert planner.pilot_passes() == AIMING
     planner.pilot = {"size": [100, 80], "quality": LEAST, "error": error}
     return planner, planner.first(0.0)
 
@@ -117,7 +117,7 @@ def test_pilot_foresees_the_pass_that_meets_a_target():
 
 
 def test_where_the_pilot_foresees_much_work_three_passes_tell_their_error():
-    (fair, some), (noisier, more) = flown(0.06), flown(0.2)
+    (fair, some), (noisier, more) = flown(0.12), flown(0.4)
     assert fair.foreseen is None
     assert noisier.foreseen is None
     assert LEAST < some < more
@@ -128,11 +128,46 @@ def test_where_the_pilot_foresees_much_work_three_passes_tell_their_error():
     assert fair.next(1.0, passes, None) == some
 
 
+def test_coarse_targets_need_no_pilot():
+    # Fewer pixels have a larger error: of the same target the smaller picture is not sure.
+    usual = RenderSettings(target_error=1.2 * COARSE).with_defaults()
+    large, small = (Planner(usual, pixels, None) for pixels in (COARSE_PIXELS, COARSE_PIXELS // 2))
+    assert large.pilot_passes() == 0 and large.first(0.0) == LEAST
+    assert small.pilot_passes() == AIMING
+    for other in ({"target_error": 0.02}, {"samples": 1, "gather": 1}, {"denoise": False}, {"method": "instant-radiosity"}):
+        assert Planner(replace(usual, **other).with_defaults(), COARSE_PIXELS, None).pilot_passes() == AIMING
+
+
+@pytest.mark.parametrize("noise, passes_made", [(0.3, 1), (3.0, GROUPS)])
+def test_a_coarse_picture_with_uncommon_noise_is_not_believed(noise, passes_made):
+    planner = Planner(RenderSettings(target_error=1.2 * COARSE).with_defaults(), COARSE_PIXELS, None)
+    passes, quality = Passes(1), planner.first(0.0)
+    for k in range(passes_made):
+        assert quality == LEAST
+        passes.add(picture(noisy(noise, k), quality))
+        planner.observe(quality, 1.0)
+        if k < passes_made - 1:
+            quality = planner.next(1.0, passes, Flat())
+    if passes_made == 1:
+        assert planner.next(1.0, passes, Flat()) is None
+        assert 0 < passes.estimate < 1.2 * COARSE
+
+
+class Flat:
+    """A denoiser that finds a picture of one value."""
+
+    available = True
+
+    def denoise(self, image, *guides, **options):
+        """The mean."""
+        return np.full_like(image, image.mean())
+
+
 def test_without_denoising_more_pixels_are_as_noisy_as_few():
-    (_, few), (raw, many) = flown(0.006), flown(0.006, denoise=False, method="importance-sampling")
+    (_, few), (raw, many) = flown(0.018), flown(0.018, denoise=False, method="importance-sampling")
     assert few == LEAST
-    # One pass has three times the noise of the mean of three, and half as much with four times the rays.
-    assert raw.foreseen == pytest.approx(3 * 0.006 * (many / LEAST) ** -0.5)
+    # Half as much noise with four times the rays.
+    assert raw.foreseen == pytest.approx(0.018 * (many / LEAST) ** -0.5)
 
 
 def test_quick_passes_keep_more_of_their_rays_than_of_their_lights():
