@@ -1,5 +1,7 @@
 """Light through gates: what the topology lets pass, what it stops, and what shadow rays decide."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -114,9 +116,25 @@ def test_guided_rays_find_what_all_rays_find_with_fewer(rooms):
     solver, light = _solve(rooms, "guided")
     truth = rooms[-1]
     relmse = ((light - truth) ** 2 / (truth**2 + 0.01 * truth.mean() ** 2)).mean()
-    assert relmse < 0.002
-    assert light.mean() == pytest.approx(truth.mean(), rel=0.01)
-    assert solver.saved > 0.2 * (solver.saved + solver.rays)
+    assert relmse < 0.003
+    assert light.mean() == pytest.approx(float(truth.mean()), rel=0.01)
+    assert solver.saved > 0.3 * (solver.saved + solver.rays)
+
+
+@pytest.mark.parametrize("sees", [True, False])
+def test_guided_rays_need_not_believe_the_topology(rooms, sees):
+    # Clusters that it takes for one another's, or for dark to each other: the mean of many seeds is that of all rays still.
+    tables, topology, points, vpls, truth = rooms
+    wrong = replace(topology, sight=np.zeros_like(topology.sight))
+    if sees:
+        wrong = replace(topology, cluster=np.zeros_like(topology.cluster))
+    light = np.zeros_like(truth, np.float64)
+    for seed in range(20):
+        solver = VisibilityGates(wrong, gates="guided", compensation=0, seed=seed)
+        solver.prepare(tables, vpls, points)
+        light += solver.irradiance(points) / 20
+    assert light.mean() == pytest.approx(float(truth.mean()), rel=0.004)
+    assert ((light - truth) ** 2 / (truth**2 + 0.01 * truth.mean() ** 2)).mean() < 0.0008
 
 
 @pytest.mark.parametrize("gates", ["disks", "polygons", "guided"])
@@ -271,8 +289,8 @@ def test_polygons_let_light_in_by_gates_of_one_way_only(rooms):
             assert leaving.any() == entering.any()
 
 
-def test_guided_rays_take_points_in_cracks_apart(build):
-    # A sheet 2 mm over the floor hides a strip of it from all lights above: those points are lit as little as by all rays.
+def test_guided_rays_leave_points_in_cracks_dark(build):
+    # A sheet 2 mm over the floor hides a strip of it from all lights above, unlike all points around.
     sheet = ((2.0, 0.5, 0.002), (2.05, 3.5, 0.004))
     scene = build.scene(build.geometry(*boxes(((0, 0, 0), (4, 4, 3)), sheet)), build.materials((0.6, 0.0)))
     geometry = scene.geometry
@@ -290,7 +308,8 @@ def test_guided_rays_take_points_in_cracks_apart(build):
         for method in (truth, solver):
             method.prepare(tables, vpls, points)
             light.append(method.irradiance(points))
-    assert not light[0][-10:].any() and not light[1][-10:].any()
+    assert not light[0][-10:].any()
+    assert light[1][-10:].max() < 0.1 * light[1].mean() and light[1][-10:].mean() < 0.02 * light[1].mean()
     assert solver.saved > 0.5 * (solver.saved + solver.rays)
 
 
