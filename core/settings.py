@@ -207,7 +207,7 @@ class RenderSettings:
         "Gates",
         "What is seen between visibility clusters",
         choices=(
-            Choice("guided", "Guided", "Shadow rays where the topology is not certain"),
+            Choice("guided", "Guided", "Shadow rays where topology and a few probes leave doubt"),
             Choice("polygons", "Polygons", "Through the openings' outlines"),
             Choice("disks", "Disks", "Through disks, as in the paper"),
             Choice("off", "Off", "Within each cluster, everything; beyond it, nothing"),

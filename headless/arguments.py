@@ -163,7 +163,7 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
             "gates",
             {
                 "choices": ("disks", "polygons", "off", "guided"),
-                "help": "between visibility clusters; guided: shadow rays where the topology is not certain (default: guided)",
+                "help": "between visibility clusters; guided: shadow rays where topology and probes leave doubt (default: guided)",
             },
         ),
         OwnOption("--gate-size", "gate_size", {"type": positive, "metavar": "F", "help": "factor on the size of the gates (default: 1)"}),
