@@ -31,7 +31,7 @@ BRIGHTEST, DARK = 6.0, 0.2  # times D and its mean: where B and C are cut
 UNSEEN_NOISE = 1e-4  # relMSE of noise that nobody sees: a hundredth of the light
 MANY_RAYS = 16  # a shading point: the default of the accurate method
 SMALL_PICTURE = 100_000  # pixels below which each group is A in turn, for one alone is not certain enough
-# relMSE of one denoised pass by that of its noise (nine scenes, 0.125 to 2 times the usual rays, 57,600 pixels: within 1.5 times in half of them).
+# relMSE of one denoised pass by that of its noise (eight scenes, quality .125 to 2, 57,600 pixels: within 1.5 times in half of the cases).
 BY_NOISE, NOISE_SLOPE = 0.046, 0.65
 
 

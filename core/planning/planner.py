@@ -37,7 +37,7 @@ PILOT_SHARE = 0.1  # of a budget, at most
 # A target's pilot: what a pass begins with costs more than these pixels, and two tell the error nearly as well as three of twice as many (ten scenes).
 AIMING_PIXELS, AIMING = 4_000, 2
 SMALLER = 6  # times as many pixels as the pilot has make it worth while
-# relMSE that a picture of so many pixels has at most with the fewest samples (nine of ten scenes): for coarser targets no pilot is worth its time.
+# relMSE that a picture of so many pixels has at most with the fewest samples (about; nine of ten scenes): coarser targets are not worth a pilot.
 COARSE, COARSE_PIXELS = 0.04, 57_600
 # Where not even the smallest pass fits, a smaller picture is lit, and enlarged by what the camera sees at full size (`core.enlarged`), at about
 # so much of the cost of a pixel (480x270: .07 in the living room, .12 in the atrium) and with so many primary samples.
@@ -58,7 +58,7 @@ SIZE_SLOPE = 0.35
 ALONE_SLOPE = 0.37
 ALONE = 4.0  # largest quality of a pass made by the pilot's word: three smaller ones have the same error in as much time, and tell it
 NEAR_ENOUGH = 1.15  # times the target
-HIDDEN = 1.15  # by how much the error of a picture is larger than its pilot says (median of eight scenes, 320x180)
+HIDDEN = 1.15  # times what its pilot says, the error of a picture made by it (median of eight scenes, 320x180)
 GROWTH = 6.0  # most by which the samples grow in a round: the slope is not exact
 
 
