@@ -33,7 +33,6 @@ VARIANCE = np.float32(0.0042)  # of a point's light by its square, for which ray
 DARKER = np.float32(0.5)  # times what is expected: a point with less is lit again by more rays
 LEAST = np.float32(0.2)  # of what is expected, that a point is taken to get: keeps shares finite in the dark
 _GOLDEN = np.float32(0.618034)
-_TINY = np.float32(1e-20)  # W/m^2
 _NEAR = np.float32(1e-15)  # m^2, as in `light_block`
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -144,30 +143,9 @@ def _correct(scene, packet, rows, surface, count, cutouts, through, lights, draw
 
 @kernel
 def _draw(
-    scene,
-    points,
-    runs,
-    r,
-    low,
-    high,
-    vpls,
-    lights,
-    local,
-    shines,
-    mean,
-    doubt,
-    scale,
-    phase,
-    g_max,
-    packet,
-    rows,
-    surface,
-    cutouts,
-    through,
-    drawn,
-    weight,
-    light,
-):
+    scene, points, runs, r, low, high, vpls, lights, local, shines, mean, doubt, scale, phase, g_max, packet, rows, surface, cutouts, through,
+    drawn, weight, light,
+):  # fmt: skip
     """Shadow rays for pairs of the points low..high-1 of a geometry cluster, and what they find beside what was expected to `light` (3, POINTS).
 
     mean, doubt: (B,) of each block.  scale: (POINTS,), probability of a ray by the pair's light and doubt, m^2/W.  phase: (POINTS,) of the
@@ -222,12 +200,8 @@ def shade_guided(scene, vpls, points, runs, begin, end, lights, sight, cutouts, 
     count = len(blocks.cluster)
     carried = np.empty((count, POINTS), np.float32)
     shines, mean, doubt = np.empty(count, np.bool_), np.empty(count, np.float32), np.empty(count, np.float32)
-    scale, phase, weight, drawn = (
-        np.empty(POINTS, np.float32),
-        np.empty(POINTS, np.float32),
-        np.empty(POINTS, np.float32),
-        np.empty((WIDTH, 4)),
-    )
+    scale, phase, weight = np.empty(POINTS, np.float32), np.empty(POINTS, np.float32), np.empty(POINTS, np.float32)
+    drawn = np.empty((WIDTH, 4))
     traced = facing = pairs = 0
     for r in range(begin, end):
         n = gathered(points, runs, r, local)
@@ -254,12 +228,13 @@ def shade_guided(scene, vpls, points, runs, begin, end, lights, sight, cutouts, 
             pairs += n * lanes
         start = uniform(seed, r, 0, 2 * PROBES)
         for k in range(n):
-            arriving = smooth[0, k] + smooth[1, k] + smooth[2, k] + _TINY
+            arriving = smooth[0, k] + smooth[1, k] + smooth[2, k]
             uncertain = _0
             for block in range(count):
                 if shines[block]:
                     uncertain += doubt[block] * carried[block, k]
-            scale[k] = uncertain / (arriving * arriving * VARIANCE)
+            # One after the other: the square of dim light is no number of float32.
+            scale[k] = uncertain / arriving / arriving / VARIANCE if arriving > _0 else _0
             phase[k] = rotate_unit(start, np.float32(k) * _GOLDEN % _1)
         light[:] = smooth
         traced += _draw(

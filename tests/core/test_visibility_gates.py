@@ -289,6 +289,16 @@ def test_polygons_let_light_in_by_gates_of_one_way_only(rooms):
             assert leaving.any() == entering.any()
 
 
+@pytest.mark.parametrize("factor", [2.0**-60, 2.0**60])
+def test_guided_rays_are_the_same_however_dim_the_light(rooms, factor):
+    tables, topology, points, vpls, _ = rooms
+    scaled = VisibilityGates(topology, gates="guided", compensation=0)
+    scaled.prepare(tables, vpls._replace(flux=vpls.flux * np.float32(factor)), points)
+    solver, light = _solve(rooms, "guided")
+    np.testing.assert_allclose(scaled.irradiance(points) / np.float32(factor), light, rtol=1e-5)
+    assert scaled.rays == solver.rays
+
+
 def test_guided_rays_leave_points_in_cracks_dark(build):
     # A sheet 2 mm over the floor hides a strip of it from all lights above, unlike all points around.
     sheet = ((2.0, 0.5, 0.002), (2.05, 3.5, 0.004))
