@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .coincident import darken, warning_line
+from .coincident import covered_places, warning_line
 from .denoise import Denoiser
 from .enlarged import enlarged
 from .lamps import DirectLight, LightGroups, sharp_emitters, world_tables
@@ -337,11 +337,12 @@ def _look(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
                 tick,
                 run.groups,
                 settings.film,
+                covered_places(run.black, len(scene.geometry.triangles)),
             )
 
         seen = run.sequence.view(scene, settings, look) if run.sequence else look()
-        if len(black := darken(seen.points, run.black)):
-            run.warn(warning_line(scene.geometry, black))
+        if len(seen.covered):
+            run.warn(warning_line(scene.geometry, seen.covered))
         run.rays["primary"] += seen.rays
         run.leave_out("pixels", seen.depth.size - len(np.unique(seen.points.pixel)), seen.depth.size)
     return seen

@@ -27,9 +27,10 @@ RECTANGLE, ELLIPSE = 0, 1
 REMAINDER = "Remainder"
 
 # Flags of a material (`Materials.flags`).  ANGLED: its nodes ask for the side or the angle that it is seen from.  MIRRORING is
-# set for views alone (core/view/mirrors.py), BRUSHED and METAL for the rest of the transport (core/surfaces/brushed.py).
+# set for views alone (core/view/mirrors.py), BRUSHED and METAL for the rest of the transport (core/surfaces/brushed.py), and so is
+# COVERED (core/coincident.py): a material of one triangle, which is black in parts.
 EMISSIVE, TRANSPARENT, GLOSSY_LOBE, CONSTANT, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, ANGLED, MIRRORING = 1, 2, 4, 8, 16, 32, 64, 128, 256
-FROSTED, COATED, BRUSHED, METAL = 512, 1024, 2048, 4096
+FROSTED, COATED, BRUSHED, METAL, COVERED = 512, 1024, 2048, 4096, 8192
 
 
 @dataclass
@@ -71,6 +72,7 @@ class MaterialTables(NamedTuple):
     flags: (M,) int32;  constant: (M, SURFACE) float32, the surface of a CONSTANT material.
     texture_header: (X, 16) int32;  texels_u8: (B,) uint8;  texels_f32: (F,) float32.
     functions: (3,) uint64, addresses of the rarer instructions' code (core/surfaces/outlined.py), 0 where unused.
+    covers: (K, 4, 4) float32, what covers the triangles of COVERED materials in part (core/surfaces/covers.py).
     """
 
     code: np.ndarray
@@ -82,6 +84,7 @@ class MaterialTables(NamedTuple):
     texels_u8: np.ndarray
     texels_f32: np.ndarray
     functions: np.ndarray = np.zeros(3, np.uint64)
+    covers: np.ndarray = np.zeros((0, 4, 4), np.float32)
 
 
 @dataclass

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from .coincident import coincident, without_reflection
+from .coincident import Coincident, coincident, without_reflection
 from .errors import SceneError
 from .inspection import foresee, savings
 from .jit import CompileTimer
@@ -67,7 +67,7 @@ class Run:
     seconds: dict = field(default_factory=dict)
     rays: dict = field(default_factory=lambda: {"primary": 0, "light": 0, "shadow": 0})
     pairs: int = 0
-    black: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # triangles that lie on others: `core.coincident`
+    black: Coincident = field(default_factory=Coincident.none)
     skipped: list[Skipped] = field(default_factory=list)
     foreseen: list[dict] = field(default_factory=list)  # `core.inspection.savings` of the scene
     left_out: dict[str, tuple[int, int]] = field(default_factory=dict)  # by the keys of LEFT_OUT: so many of so many

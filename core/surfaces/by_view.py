@@ -12,7 +12,8 @@ import math
 import numpy as np
 
 from ..jit import inlined, kernel
-from ..scene import ANGLED, CONSTANT, TRANSLUCENT, MaterialTables
+from ..scene import ANGLED, CONSTANT, COVERED, TRANSLUCENT, MaterialTables
+from .covers import own_materials
 from .layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, WIDE, diffuse_albedo, diffuse_albedo_average
 from .places import some_surfaces
 
@@ -72,11 +73,15 @@ def views(tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, 
     seen, mean, wide = np.zeros((count, VIEWS), np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
     constant = np.flatnonzero(tables.flags & CONSTANT)
     _add_views(np.ascontiguousarray(tables.constant[constant], np.float32), constant, seen, mean, wide)
-    if len(constant) < count:
-        surfaces, owner = some_surfaces(tables, material, attributes, tables.flags & CONSTANT == 0, threads)
+    own = own_materials(tables)
+    textured = tables.flags & (CONSTANT | COVERED) == 0
+    if textured.any():
+        if (tables.flags & COVERED).any():  # their triangles tell of their own materials
+            material = own[material]
+        surfaces, owner = some_surfaces(tables, material, attributes, textured, threads)
         _add_views(surfaces, owner, seen, mean, wide)
     out = np.zeros((count, 2, VIEWS), np.float32)
     known = (mean > 1e-6) & (tables.flags & (ANGLED | TRANSLUCENT) == 0)
     out[known, DIFFUSE_ALONE] = seen[known] / mean[known, None] - 1
     out[:, WITH_WIDE] = (mean / np.maximum(mean + wide, 1e-6))[:, None] * out[:, DIFFUSE_ALONE]
-    return out
+    return out[own]

@@ -15,9 +15,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from ..scene import CONSTANT, GLOSSY, TRANSMISSION, MaterialTables, Scene
+from ..scene import CONSTANT, COVERED, GLOSSY, TRANSMISSION, MaterialTables, Scene
 from . import bumps, closures, footprint, outlined, textures
 from .colors import luminance
+from .covers import blacken, is_covered
 from .layout import EMISSION, NORMAL, SURFACE, TILT, TRANSPARENCY
 
 F = np.float32
@@ -67,7 +68,9 @@ VIEWER, LAMP_NORMAL, LAMP_INCOMING, LAMP_PLACE, OWN_ROWS = range(5)
     FOOTPRINT,  # size of a pixel at the world position a (m)
     # -- light from behind --
     TRANSLUCENT_CLOSURE,  # colour a, p: under the dielectric lobe; d is the weight
-) = range(30)
+    # -- a program by itself, of materials that are COVERED --
+    COVERED_PARTS,  # material p, but black where one of the coverers from a to b - 1 is (see `covers`)
+) = range(31)
 
 
 @kernel
@@ -137,11 +140,18 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
         front, -MEAN_VIEW of the back; see also `from_within`.
     rows: from `new_registers`.
     """
+    black = False
+    if tables.flags[material] & COVERED:
+        at = tables.start[material]
+        black = is_covered(tables.covers, tables.code[at, 2], tables.code[at, 3], u, v)
+        material = tables.code[at, 7]
     if tables.flags[material] & CONSTANT:
         for k in range(SURFACE):
             surface[k] = tables.constant[material, k]
     else:
         _run(tables, tables.start[material], attributes, triangle, u, v, cosine, rows, surface)
+    if black:
+        blacken(surface)
 
 
 @leaf

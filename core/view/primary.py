@@ -27,6 +27,7 @@ from ..references import Reference
 from ..sampling.hashing import uniform
 from ..sampling.maps import orthonormal_basis
 from ..scene import CAMERA, COATED, FROSTED, TRANSLUCENT, Scene
+from ..surfaces.covers import CoveredPlaces
 from ..surfaces.frosted import seen_through
 from ..surfaces.layout import COAT_TOP, SURFACE
 from ..surfaces.program import new_registers, with_viewer
@@ -93,7 +94,7 @@ class Worlds(NamedTuple):
 
 
 class _Geometry(NamedTuple):
-    """As in `scene.Geometry`, and of each object its light group, and the set of those that it lights, of `receiver_sets`."""
+    """As in `scene.Geometry`, and of each object its light group, and the set of those that it lights, of `receiver_sets`; what is black because it is covered."""
 
     vertices: np.ndarray
     triangles: np.ndarray
@@ -104,6 +105,7 @@ class _Geometry(NamedTuple):
     light_group: np.ndarray
     receivers: np.ndarray
     receiver_sets: np.ndarray
+    covered: CoveredPlaces
 
 
 @dataclass
@@ -115,6 +117,7 @@ class View:
     clear: (H, W) float32, the part of each pixel in which the camera sees the world, behind no glass.
     emitted: (G, 3, H, W, 3) float32, light of each light group that is emitted behind no glass, one surface of it, and more.
     points: the shading points, whose `pixel` counts row-major over H x W.  rays: primary rays traced.
+    covered: (K,) int64, triangles that are seen where others cover them: black, and without points.
     """
 
     albedo: np.ndarray
@@ -126,6 +129,7 @@ class View:
     emitted: np.ndarray
     points: ShadingPoints
     rays: int
+    covered: np.ndarray
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -453,11 +457,12 @@ def _view_tiles(
 
 def view(
     scene: Scene, rays, world, samples: int, seed: int, threads: int = 0, progress: Progress | None = None,
-    groups: LightGroups | None = None, film: Film = SQUARE,
+    groups: LightGroups | None = None, film: Film = SQUARE, covered: CoveredPlaces | None = None,
 ) -> View:  # fmt: skip
     """Trace about `samples` primary rays a pixel of the camera's border; `rays` and `world` are the tables of those rooms.
 
     groups: the light groups to tell apart, None for none.  film: how the samples lie in a pixel, and whether they see the world.
+    covered: what is black because other triangles cover it, None for nothing.
     """
     groups = LightGroups.one(scene) if groups is None else groups
     camera = camera_tables(scene.camera)
@@ -478,7 +483,9 @@ def view(
         groups.objects,
         object_links(scene)[0],
         receiver_sets(g),
+        CoveredPlaces.none() if covered is None else covered,
     )
+    places = geometry.covered
     seen = world if scene.world.seen is None else world_tables(replace(scene.world, radiance=scene.world.seen))
     tables = (rays, camera, with_mirrors(with_viewer(scene), g), geometry, visible_lamps(scene, groups), Worlds(world, seen))
     n_lamps = len(tables[4].kind)
@@ -505,4 +512,5 @@ def view(
         np.ascontiguousarray(emitted.transpose(2, 3, 0, 1, 4)),
         ShadingPoints.concatenate([part for part, _ in parts]),
         sum(n for _, n in parts),
+        np.flatnonzero(places.seen),
     )

@@ -30,6 +30,7 @@ from ..scene import CAMERA, COATED, FROSTED, GLOSSY, MIRRORING, NORMAL_MAPPED, R
 from ..surfaces.arithmetic import normalized
 from ..surfaces.bending import STRAIGHT_ON, bent, scattered
 from ..surfaces.bumps import mean_shadowing
+from ..surfaces.covers import looks_covered
 from ..surfaces.frosted import joined_alpha
 from ..surfaces.layout import (
     BEND,
@@ -557,6 +558,16 @@ def is_scattered(tile, pixel, s):
     return tile.kinds[pixel, s] == GLOSSY or not tile.shining[pixel, s]
 
 
+@inlined
+def _note(tile, pixel, s, most, seen):
+    """Counts what row s shows for `_varies`, unless it is a pane's."""
+    if s < most:
+        tile.sums[pixel, 0] += seen
+        tile.sums[pixel, 1] += seen * seen
+        if tile.group_of[pixel, s] != tile.group_of[pixel, 0]:
+            tile.mixed[pixel] = 1
+
+
 @leaf
 def add_rows(camera, materials, geometry, world, world_visibility, world_group, pixel_width, pixel, begin, end, most, rows, surface, tile):
     """Evaluate the rows begin..end-1 of a pixel: add them to its layers, each with the weight of one, and to the surface that they show.
@@ -639,6 +650,9 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             sample[s, ROUGH] = surface[DIFFUSE_ROUGHNESS]
             if nearest < 0 or depth[pixel, s] < depth[pixel, nearest]:
                 nearest = s
+            if looks_covered(geometry.covered, triangle, u, v):  # it keeps its colour, and belongs to no surface that is lit
+                _note(tile, pixel, s, most, er + eg + eb)
+                continue
             footprint = pixel_width if camera.orthographic else pixel_width * depth[pixel, s]
             if is_scattered(tile, pixel, s):
                 footprint *= BENT
@@ -699,11 +713,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
                 group[k, G_FROST] += (pr + pg + pb) * tile.frost[pixel, s]
             ar, ag, ab = ar + tr, ag + tg, ab + tb
             seen = ar + ag + ab + er + eg + eb + surface[GLOSSY_F0] * wr + surface[GLOSSY_F0 + 1] * wg + surface[GLOSSY_F0 + 2] * wb
-        if s < most:
-            tile.sums[pixel, 0] += seen
-            tile.sums[pixel, 1] += seen * seen
-            if group_of[s] != group_of[0]:
-                tile.mixed[pixel] = 1
+        _note(tile, pixel, s, most, seen)
     tile.groups[pixel], tile.nearest[pixel] = groups, nearest
 
 
