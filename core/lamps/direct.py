@@ -6,7 +6,7 @@ each that can send anything; where there are fewer samples than groups, the grou
 
 Half of the rays to the world are aimed at where the other half of the neighbours' rays have found it (`world_guide`); where gather rays of
 indirect light have been traced before, these tell as well, and count themselves for what they find of it, and of
-surfaces that shine.  Shadow rays leave from
+surfaces that shine.  Which lamps of the tree are seen at all, a few rays ahead of the others tell (`seen`).  Shadow rays leave from
 all places where a pixel shows the surface, so that edges of shadows within it are smooth.
 
 The same rays carry the light that glossy lobes reflect, which they share with rays drawn from the lobes (see
@@ -42,6 +42,7 @@ from .escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, ga
 from .links import is_hidden_alike, lights
 from .lookup import can_be_met, emitter_density, emitter_of, share_of
 from .sample import sample_emitter
+from .seen import learn
 from .sharp import sharp_emitters
 from .tables import AXIS_Z, CASTS_SHADOW, GLOSSY_ONLY, ONE_MINUS_COS, SEEN_BY_GLOSSY, SHARP, TRIANGLE, WORLD
 from .tree import CUT, choose, cut_estimate, cut_for, descend, importance, importance_around
@@ -51,6 +52,12 @@ from .world_guide import NEAR, aim, draw, expect, forget, look_around, new_world
 CHUNK = 4096  # points a chunk
 _BLOCK, _BLOCK_RAYS = 1024, 8192  # points whose rays are traced together, lamp by lamp, and the most of these rays, nearly
 _GUIDED = np.uint32(0x6D1D)
+# One point of so many sends at most so many rays ahead, which tell what lamps of the tree are seen from there: 1/32 of all rays.  So many are traced at once.
+_PILOT_STEP, _PILOTS_A_POINT, _PILOTS = 16, 8, 256
+_FORGOTTEN = np.float32(0.5)  # of what the blocks before have told
+_LEAST_LEARNT = 512  # points of a chunk, for which that is worth it
+_MOST_NODES = 1 << 12  # of the tree, all of which are looked at for each block
+_PILOT = np.uint32(0x9107)
 _DEFENSIVE = np.float32(0.1)  # share of the samples dealt evenly to the groups that can send light
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -156,9 +163,9 @@ def _counts(scene, e, triangle, glossy):
 
 @leaf
 def expected_samples(scene, triangle, px, py, pz, nx, ny, nz, samples, estimate, count, expected):
-    """How many of `samples` each group gets at p, of a triangle, with normal n, on average, into `expected` (G,).
+    """How many of `samples` each group gets at p, of a triangle, with normal n, on average, into `expected` (G,), and its unshadowed light into `estimate` (G,).
 
-    estimate (G,) float32, count (G,) int32: scratch.
+    count: (G,) int32, scratch.
     """
     emitters = scene.emitters
     for g in range(len(emitters.groups)):
@@ -171,8 +178,8 @@ def expected_samples(scene, triangle, px, py, pz, nx, ny, nz, samples, estimate,
 
 
 @leaf
-def aimed_density(emitters, expected, e, px, py, pz, nx, ny, nz, dx, dy, dz):
-    """Light samples per steradian in a direction d that meets emitter e, where groups get `expected` samples each.
+def aimed_density(emitters, expected, estimate, e, px, py, pz, nx, ny, nz, dx, dy, dz):
+    """Light samples per steradian in a direction d that meets emitter e, where groups of a `group_estimate` get `expected` samples each.
 
     Nearly: what the tree gives to one emitter is taken from its bounds.  Weights of multiple importance sampling may
     be anything that is the same for all of the samplers.
@@ -187,18 +194,18 @@ def aimed_density(emitters, expected, e, px, py, pz, nx, ny, nz, dx, dy, dz):
         if emitters.groups[g] < 0:
             tree = emitters.tree
             own = importance(tree.nodes, tree.two_sided, e, px, py, pz, nx, ny, nz)
-            number = expected[g] * min(_1, own / max(group_estimate(emitters, g, px, py, pz, _0, nx, ny, nz), np.float32(1e-30)))
+            number = expected[g] * min(_1, own / max(estimate[g], np.float32(1e-30)))
     return number * emitter_density(emitters, e, px, py, pz, nx, ny, nz, dx, dy, dz) if number > _0 else _0
 
 
 @inlined
-def _lobe_share(emitters, e, lobe, reflections, expected, px, py, pz, nx, ny, nz, dx, dy, dz):
+def _lobe_share(emitters, e, lobe, reflections, expected, estimate, px, py, pz, nx, ny, nz, dx, dy, dz):
     """Lobe times cosine (r, g, b) towards a sample of emitter e, times the share that rays drawn from the lobe leave to it."""
     r, g, b, density = lobe_value(lobe, dx, dy, dz)
     if not (density > _0 and emitters.flags[e] & SEEN_BY_GLOSSY):
         return _0, _0, _0
     if reflections > 0 and can_be_met(emitters, e):
-        aimed = aimed_density(emitters, expected, e, px, py, pz, nx, ny, nz, dx, dy, dz)
+        aimed = aimed_density(emitters, expected, estimate, e, px, py, pz, nx, ny, nz, dx, dy, dz)
         share = share_of(aimed, np.float32(reflections) * density)
         return r * share, g * share, b * share
     return r, g, b
@@ -271,7 +278,10 @@ def direct_sample_at(
     total = chosen_estimate = _0
     u = uniform(seed, path, dimension, 0)
     for group in range(len(emitters.groups)):  # reservoir sampling with one recycled random number
-        estimate = group_estimate(emitters, group, x, y, z, _0, sx, sy, sz)
+        if len(emitters.groups) == 1 and emitters.groups[0] < 0:
+            estimate = _1  # nothing else to choose
+        else:
+            estimate = group_estimate(emitters, group, x, y, z, _0, sx, sy, sz)
         if estimate > _0 and (emitters.groups[group] < 0 or _counts(scene, emitters.groups[group], triangle, glossy)):
             total += estimate
             p = estimate / total
@@ -324,7 +334,7 @@ class _Block(NamedTuple):
     first: (B,) int32, how many of the world's samples come first, where the others are aimed by what neighbours found.
     members, cdf: (B, CUT), size: (B,), the cut through the tree of emitters.
     lobe: (B, LOBE) float32.  drawn: (B,) int64, rays drawn from the lobe.  expected: (B, G) float32, samples beside those.
-    number: (B, G) float32, samples of each group on average.
+    number: (B, G) float32, samples of each group on average.  unshadowed: (B, G) float32, `group_estimate` of the tree, as `aimed_density` takes it.
     patterned: (B, G) float32, mean of `ShadingPoints.varied` over the albedos at the places that a group's samples leave from.
     """
 
@@ -339,6 +349,7 @@ class _Block(NamedTuple):
     drawn: np.ndarray
     expected: np.ndarray
     number: np.ndarray
+    unshadowed: np.ndarray
     patterned: np.ndarray
 
 
@@ -370,7 +381,7 @@ def _new_block(points, groups):
         np.zeros((points, groups), f), np.zeros((points, groups), f), np.zeros((points, groups), i), np.zeros(points, i),
         np.empty((points, CUT), i), np.empty((points, CUT), f), np.empty(points, np.int64),
         np.full((points, LOBE), -_1), np.zeros(points, np.int64), np.zeros((points, groups), f),
-        np.zeros((points, groups), f), np.zeros((points, groups), f),
+        np.zeros((points, groups), f), np.zeros((points, groups), f), np.zeros((points, groups), f),
     )  # fmt: skip
 
 
@@ -384,8 +395,8 @@ def _new_rays(n):
 
 
 @leaf
-def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, block):
-    """Row k of `block` for point i."""
+def _prepare(scene, nodes, points, i, k, samples, reflections, seed, first, spare, block):
+    """Row k of `block` for point i; nodes: of the tree, by which its lamps are chosen."""
     emitters = scene.emitters
     tree = emitters.tree
     px, py, pz = points.position[i, 0], points.position[i, 1], points.position[i, 2]
@@ -398,7 +409,7 @@ def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, bloc
     for g in range(len(emitters.groups)):
         if emitters.groups[g] < 0:
             block.size[k], block.estimate[k, g] = cut_for(
-                tree.nodes, tree.two_sided, tree.children, tree.root, px, py, pz, around, sx, sy, sz, block.members[k], block.cdf[k]
+                nodes, tree.two_sided, tree.children, tree.root, px, py, pz, around, sx, sy, sz, block.members[k], block.cdf[k]
             )
         else:
             block.estimate[k, g] = group_estimate(emitters, g, px, py, pz, around, sx, sy, sz)
@@ -424,7 +435,11 @@ def _prepare(scene, points, i, k, samples, reflections, seed, first, spare, bloc
         set_point_lobe(points, i, block.lobe[k])
         block.drawn[k] = reflection_count(block.lobe[k], points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], reflections)
         if block.drawn[k] > 0:
-            expected_samples(scene, points.triangle[i], px, py, pz, sx, sy, sz, samples, block.estimate[k], spare, block.expected[k])
+            expected_samples(scene, points.triangle[i], px, py, pz, sx, sy, sz, samples, block.unshadowed[k], spare, block.expected[k])
+    if tree.root >= 0 and points.gathered[i] > 0 and not block.drawn[k] > 0:
+        for g in range(len(emitters.groups)):
+            if emitters.groups[g] < 0:
+                block.unshadowed[k, g] = group_estimate(emitters, g, px, py, pz, _0, sx, sy, sz)
     block.first[k] = 0
     for g in range(len(emitters.groups)):
         if _is_world(emitters, g):
@@ -522,7 +537,8 @@ def _put(scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, g, b, w, 
             return n
     elif points.gathered[i] > 0 and emitters.kind[e] == TRIANGLE and is_hidden_alike(emitters, e):
         w *= share_of(
-            aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz), _gather_density(points.gathered[i], own)
+            aimed_density(emitters, block.number[k], block.unshadowed[k], e, px, py, pz, sx, sy, sz, dx, dy, dz),
+            _gather_density(points.gathered[i], own),
         )
     light, glossy, ray = rays.light[n], rays.glossy[n], rays.ray[n]
     cosine *= _unevenness(points, i, dx, dy, dz)
@@ -531,7 +547,9 @@ def _put(scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, g, b, w, 
         light[0], light[1], light[2] = _by_sheen(points, i, dx, dy, dz, light[0], light[1], light[2])
     if block.lobe[k, ALPHA] > _0 and shine > _0 and own > _0 and not (emitters.flags[e] & SHARP and is_turned(points, i)):
         drawn = block.drawn[k] if across > _0 else np.int64(0)
-        fr, fg, fb = _lobe_share(emitters, e, block.lobe[k], drawn, block.expected[k], px, py, pz, sx, sy, sz, dx, dy, dz)
+        fr, fg, fb = _lobe_share(
+            emitters, e, block.lobe[k], drawn, block.expected[k], block.unshadowed[k], px, py, pz, sx, sy, sz, dx, dy, dz
+        )
         glossy[0], glossy[1], glossy[2] = shine * fr * r, shine * fg * g, shine * fb * b
     else:
         glossy[0] = glossy[1] = glossy[2] = _0
@@ -549,8 +567,8 @@ def _put(scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, g, b, w, 
 
 
 @leaf
-def _aim(scene, points, start, size, block, seed, first, rows, surface, rays):
-    """Shadow rays of the `size` points from `start` on, but for the world's later ones -> how many."""
+def _aim(scene, nodes, points, start, size, block, seed, first, rows, surface, rays):
+    """Shadow rays of the `size` points from `start` on, but for the world's later ones -> how many; nodes: as for `_prepare`."""
     emitters = scene.emitters
     tree = emitters.tree
     n = np.int64(0)  # no literal, for which the callee would be compiled again
@@ -579,7 +597,7 @@ def _aim(scene, points, start, size, block, seed, first, rows, surface, rays):
                 w = block.weight[k, g]
                 if e < 0:
                     e, rarity = choose(
-                        tree.nodes, tree.two_sided, tree.children, px, py, pz, sx, sy, sz, block.members[k], block.cdf[k], block.size[k],
+                        nodes, tree.two_sided, tree.children, px, py, pz, sx, sy, sz, block.members[k], block.cdf[k], block.size[k],
                         sobol(index, 2, scramble), to_unit(hash_combine(scramble, index)),
                     )  # fmt: skip
                     if e < 0 or not lights(emitters, e, scene.object, points.triangle[i]):
@@ -593,6 +611,50 @@ def _aim(scene, points, start, size, block, seed, first, rows, surface, rays):
         if world:
             n = _add_gathered(scene, points, start, size, block, g, rays, n)
     return n
+
+
+@leaf
+def _pilot(scene, packet, rows, surface, points, begin, end, samples, seed, spare, block, rays, nodes, lamp, known):
+    """Rays of some of the points begin..end-1 to lamps of the tree, which bring no light but tell `nodes`, a copy of the tree's, who is seen -> how many.
+
+    lamp: (_PILOTS,) int64, scratch.  known: (3, K) float32, what `learn` takes; rays are added to its first two rows.
+    They are the same in all passes, for samples of later passes go on in the sequences only where each group gets as many.
+    """
+    emitters = scene.emitters
+    tree = emitters.tree
+    seed = hash_combine(seed, _PILOT)
+    draws = min(_PILOTS_A_POINT, max(1, samples // 2))
+    cast = np.int64(0)
+    n = np.int64(0)
+    last = end - _PILOT_STEP + 1
+    for at in range(begin, last, _PILOT_STEP):
+        i = at + np.int64(hash_combine(seed, at) % np.uint32(_PILOT_STEP))
+        _prepare(scene, nodes, points, i, 0, samples, 0, seed, np.int64(0), spare, block)
+        px, py, pz = points.position[i, 0], points.position[i, 1], points.position[i, 2]
+        sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+        key = hash_combine(seed, i)
+        for j in range(draws):
+            e, _ = choose(
+                nodes, tree.two_sided, tree.children, px, py, pz, sx, sy, sz, block.members[0], block.cdf[0], block.size[0],
+                sobol(j, 2, key), to_unit(hash_combine(key, j)),
+            )  # fmt: skip
+            if e < 0 or not lights(emitters, e, scene.object, points.triangle[i]):
+                continue
+            dx, dy, dz, t, r, g, b, u, v = sample_emitter(
+                emitters, e, px, py, pz, sx, sy, sz, sobol(j, 0, key), sobol(j, 1, key), rows, surface
+            )
+            before = n
+            n = _put(scene, points, block, i, 0, e, np.int64(0), dx, dy, dz, t, u, v, r, g, b, _1, _1, -1, rays, n)
+            if n > before:
+                lamp[before], rays.point[before] = e, i - begin
+        if n + _PILOTS_A_POINT > _PILOTS or at + _PILOT_STEP >= last:
+            cast += _trace(scene, packet, rows, surface, points, begin, rays, n)
+            for j in range(n):
+                known[0, lamp[j]] += _1
+                known[1, lamp[j]] += np.float32(max(rays.through[j, 0], rays.through[j, 1], rays.through[j, 2]) > _0)
+            n = np.int64(0)
+    learn(tree, known[0], known[1], known[2], nodes)
+    return cast
 
 
 @leaf
@@ -717,7 +779,7 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
                 )
                 if straight < _0:  # by a lens: `methods.caustics`
                     continue
-            aimed = aimed_density(emitters, block.number[k], e, px, py, pz, sx, sy, sz, dx, dy, dz)
+            aimed = aimed_density(emitters, block.number[k], block.unshadowed[k], e, px, py, pz, sx, sy, sz, dx, dy, dz)
             density = _gather_density(points.gathered[i], cosine)
             w = cosine * _unevenness(points, i, dx, dy, dz) * share_of(density, aimed) / density
             r, g, b = w * r * er, w * g * eg, w * b * eb
@@ -822,14 +884,30 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
     out[begin:end] = _0
     if len(glossy) > 0:
         glossy[begin:end] = _0
-    n_rays = 0
+    n_rays = np.int64(0)
+    tree = scene.emitters.tree
+    nodes = tree.nodes
+    learns = False
+    for g in range(groups):  # `stages.one_by_one` has a tree, but no group of it
+        learns = learns or scene.emitters.groups[g] < 0
+    learns = learns and end - begin >= _LEAST_LEARNT and len(nodes) <= _MOST_NODES
+    known = np.zeros((3, len(nodes) if learns else 0), np.float32)
+    lamp = np.empty(_PILOTS, np.int64)
+    if learns:
+        nodes = nodes.copy()
     for start in range(begin, end, block_size):
         size = min(block_size, end - start)
+        if learns:
+            nodes[:] = tree.nodes
+            known *= _FORGOTTEN
+            n_rays += _pilot(
+                scene, packet, rows, surface, points, start, start + size, samples, seed, spare, block, rays, nodes, lamp, known
+            )
         guided = False
         for k in range(size):
-            _prepare(scene, points, start + k, k, samples, reflections, seed, first, spare, block)
+            _prepare(scene, nodes, points, start + k, k, samples, reflections, seed, first, spare, block)
             guided = guided or block.first[k] > 0 or points.gathered[start + k] > 0
-        n = _aim(scene, points, start, size, block, seed, first, rows, surface, rays)
+        n = _aim(scene, nodes, points, start, size, block, seed, first, rows, surface, rays)
         n_rays += _trace(scene, packet, rows, surface, points, start, rays, n)
         n_later = np.int64(0)
         if guided:

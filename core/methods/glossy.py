@@ -93,7 +93,7 @@ def _add_shining(shown, by_glass, i, c, clear, r, g, b):
 
 @leaf
 def _lamps_along(
-    scene, packet, rows, surface, on, expected, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, entered, wr, wg, wb,
+    scene, packet, rows, surface, on, expected, estimate, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, entered, wr, wg, wb,
     shown, by_glass, i,
 ):  # fmt: skip
     """Adds the radiance of the lamps along d, weighed by w and the share of rays drawn with the density `drawn`, to row i of `shown`, or of
@@ -106,7 +106,7 @@ def _lamps_along(
         t, w = lamp_along(emitters, e, x, y, z, dx, dy, dz)
         if not w > _0 or not lights(emitters, e, scene.object, on):
             continue
-        w *= share_of(drawn, aimed_density(emitters, expected, e, x, y, z, sx, sy, sz, dx, dy, dz))
+        w *= share_of(drawn, aimed_density(emitters, expected, estimate, e, x, y, z, sx, sy, sz, dx, dy, dz))
         tr = tg = tb = clear = _1
         if emitters.flags[e] & CASTS_SHADOW:
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
@@ -186,7 +186,7 @@ def _reflect_chunk(
             vr, vg, vb = wr, wg, wb  # before what lies on the way
             rays += 1
             _lamps_along(
-                scene, packet, rows, surface, points.triangle[i], expected, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx,
+                scene, packet, rows, surface, points.triangle[i], expected, estimate, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx,
                 dy, dz, entered, wr, wg, wb, shown, known, i,
             )  # fmt: skip
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
@@ -196,7 +196,7 @@ def _reflect_chunk(
             wr, wg, wb = wr * tr, wg * tg, wb * tb
             if triangle < 0:
                 if world:
-                    share = share_of(drawn, aimed_density(emitters, expected, shining, x, y, z, sx, sy, sz, dx, dy, dz))
+                    share = share_of(drawn, aimed_density(emitters, expected, estimate, shining, x, y, z, sx, sy, sz, dx, dy, dz))
                     r, g, b = world_radiance(emitters.world, dx, dy, dz)
                     c = 3 * emitters.light_group[shining]
                     _add_shining(shown, known, i, c, unbroken, share * wr * r, share * wg * g, share * wb * b)
@@ -224,7 +224,7 @@ def _reflect_chunk(
             if flags & EMISSIVE and (e < 0 or (is_hidden_alike(emitters, e) and lights(emitters, e, scene.object, points.triangle[i]))):
                 share = _1
                 if e >= 0:
-                    share = share_of(drawn, aimed_density(emitters, expected, e, x, y, z, sx, sy, sz, dx, dy, dz))
+                    share = share_of(drawn, aimed_density(emitters, expected, estimate, e, x, y, z, sx, sy, sz, dx, dy, dz))
                 c = 3 * emitters.object_light_group[scene.object[triangle]]
                 r, g, b = share * wr * surface[EMISSION], share * wg * surface[EMISSION + 1], share * wb * surface[EMISSION + 2]
                 _add_shining(shown, known, i, c, unbroken, r, g, b)
