@@ -461,7 +461,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     vpls.error[n] = error
                     vpls.emitter[n] = emitter[lane]
                     vpls.bounce[n] = bounce + 1
-                    vpls.side[n] = surface_side(scene.material[triangle], behind)
+                    vpls.side[n] = surface_side(scene.materials, scene.material[triangle], behind)
                     vpls.shine[n], vpls.sharpness[n] = shine, sharp
                     n += 1
                     kept_sum += (r + g + b) / born[lane]

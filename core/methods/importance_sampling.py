@@ -248,7 +248,7 @@ def _gathered(
         if behind:
             gx, gy, gz, cos_y = -gx, -gy, -gz, -cos_y
         cell = find_cell(
-            cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
+            cache, x, y, z, gx, gy, gz, surface_side(scene.materials, scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
         )  # fmt: skip
         own = whole = _1
         sheen = cache.shine

@@ -90,7 +90,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, points
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
         sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
         behind = gx * dx + gy * dy + gz * dz > 0
-        side = surface_side(scene.material[triangle], behind)
+        side = surface_side(scene.materials, scene.material[triangle], behind)
         if behind:
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
         if vertex > 0:

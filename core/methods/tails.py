@@ -200,7 +200,7 @@ def scatter_light(
 def _add_gain(scene, surface, cache, on, x, y, z, gx, gy, gz, cosine, seed, path, at, wr, wg, wb, out, i):
     """Adds to row i of `out` what a surface reflects, weighed by w, of the light that lobes throw on it and its links do not tell."""
     _, _, _, nx, ny, nz, _ = hit_point(scene.vertices, scene.triangles, on, _THIRD, _THIRD)
-    side = surface_side(scene.material[on], nx * gx + ny * gy + nz * gz < _0)
+    side = surface_side(scene.materials, scene.material[on], nx * gx + ny * gy + nz * gz < _0)
     cell = find_cell(cache, x, y, z, gx, gy, gz, side, uniform(seed, path, at, 62), uniform(seed, path, at, 63))
     if cell < 0:
         return
@@ -276,7 +276,7 @@ def path_light(
         mirrored = _0 if encloses(scene.materials.flags[scene.material[triangle]], behind) else _1
         if t > near and left < len(cache.radiosity) and not (follows and scene.materials.flags[scene.material[triangle]] & METAL):
             cell = find_cell(
-                cache, x, y, z, gx, gy, gz, surface_side(scene.material[triangle], behind), uniform(seed, path, at, 60), uniform(seed, path, at, 61)
+                cache, x, y, z, gx, gy, gz, surface_side(scene.materials, scene.material[triangle], behind), uniform(seed, path, at, 60), uniform(seed, path, at, 61)
             )  # fmt: skip
             if cell >= 0:
                 add_known(cache, left, cell, -(gx * dx + gy * dy + gz * dz), kr * wr, kg * wg, kb * wb, out, i)

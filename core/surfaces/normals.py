@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..jit import inlined
-from ..scene import NORMAL_MAPPED
+from ..scene import COVERED, NORMAL_MAPPED
 from .layout import NORMAL
 
 
@@ -43,6 +43,11 @@ def mapped_normal(materials, material, surface, sx, sy, sz):
 
 
 @inlined
-def surface_side(material, behind):
-    """Tells surfaces apart that share a place and a normal: twice the material's number, one more on the back of a triangle."""
+def surface_side(materials, material, behind):
+    """Tells surfaces apart that share a place and a normal: twice the material's number, one more on the back of a triangle.
+
+    A triangle that others cover in part is not apart from the surface to which it belongs.
+    """
+    if materials.flags[material] & COVERED:
+        material = materials.code[materials.start[material], 7]
     return np.int32(2) * np.int32(material) + np.int32(behind)

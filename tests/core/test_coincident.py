@@ -13,6 +13,7 @@ from lumigate.core.settings import RenderSettings
 from lumigate.core.surfaces.batch import evaluate_batch
 from lumigate.core.surfaces.by_view import views
 from lumigate.core.surfaces.covers import is_covered, own_materials
+from lumigate.core.surfaces.normals import surface_side
 from lumigate.core.transport import transport
 from lumigate.headless.stress import arrays
 
@@ -209,6 +210,8 @@ def test_a_part_is_black_and_the_rest_what_it_was(build):
     after = co.without_reflection(before, at)
     assert after.material[8] == before.material[8] == 2 and after.materials.flags[2] & sc.EMISSIVE
     assert own_materials(after.materials)[after.material[[0, 4, 8]]].tolist() == [0, 1, 2]
+    # Light is cached by the surface, not by the triangle: a cell of one triangle would know few paths.
+    assert [surface_side(after.materials, after.material[k], k > 0) for k in (0, 4, 8)] == [0, 3, 5]
     for triangle, colour in ((0, (0.5, 0.5, 0.5)), (4, (0.2, 0.4, 0.6))):
         u, v = np.array([[0.3, 0.95], [0.3, 0.02]])
         surfaces = evaluate_batch(after.materials, after.material, geometry.attributes, np.full(2, triangle), u, v)
