@@ -53,13 +53,12 @@ from .surfaces.layout import (
     SURFACE,
     TILT,
     TRANSPARENCY,
-    WIDE,
     diffuse_albedo_average,
     glossy_albedo,
     largest_kept,
     translucency_average,
 )
-from .surfaces.lobes import ALPHA, LOBE, NORMAL, VIEWER, sample_lobe, set_lobe
+from .surfaces.lobes import ALBEDO, ALPHA, LOBE, NORMAL, VIEWER, lobe_value, sample_lobe, set_lobe
 from .surfaces.normals import mapped_normal, shading_normal, surface_side
 from .surfaces.program import new_registers
 from .surfaces.sheen import lit_from
@@ -73,8 +72,11 @@ _MAX_PASSED = 64  # transparent surfaces that one flight passes at most
 MAX_ADJOINT = np.float32(8.0)
 _MORE_SURFACES = 4  # that a path may meet beyond its diffuse bounces, by glossy reflections and through translucent surfaces
 LEAST_POWER = 1.0  # of the mean share of its light that a particle keeps at a first surface: what surely flies on by `trace_by_power`
-# Most `sharpness` of lights by `trace_by_power`: narrower ones are seen as spots, for there are only so many of them.
-SHARPEST = np.float32(32.0)
+# Most `sharpness` of lights by `trace_by_power`, and least roughness of the lobes that they stand for: narrower ones are seen as spots, for there are only
+# so many of them.
+SHARPEST = np.float32(64.0)
+BLUR = np.float32(0.2)
+ROUND = np.float32(0.2)  # share of them that shine all around
 # Times what the clamp leaves of a light that is not sharp: no more of a sharp one, which the clamp alone would let be 1 + sharpness times as bright.
 BRIGHTEST = np.float32(8.0)
 # Times 1 / roughness^4: the sharpness of a light that shines about as widely as the lobe that its direction was drawn from.
@@ -85,6 +87,8 @@ _NESTED = 4  # fronts of glass, each within the last, that a particle owes for
 _MET = 0.2  # of what passes an angled surface, at least, tries what that keeps
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
+_PI = np.float32(math.pi)
+_THIRD = np.float32(1 / 3)
 
 
 class Vpls(NamedTuple):
@@ -95,9 +99,10 @@ class Vpls(NamedTuple):
     geometric normal in any case.  flux: (M, 3) float32, W leaving (what
     the surface itself hides of a glossy reflection included); the irradiance at a point x is flux / pi * cos cos' / r^2.
     emitter: (M,) int32, where the light came from.  bounce: (M,) int32, 1 for light that left one surface.
-    side: (M,) int32, of the surface, as `surface_side` has it.  shine: (M,) uint8, `SHINE` where a lamp's light was reflected by a glossy lobe that
-    is not `layout.WIDE`, `THROUGH` where other light was reflected by a glossy lobe or came through a translucent surface, else 0.
+    side: (M,) int32, of the surface, as `surface_side` has it.  shine: (M,) uint8, `SHINE` where a lamp's light was reflected by a glossy lobe,
+    `THROUGH` where other light was reflected by a glossy lobe or came through a translucent surface, else 0.
     sharpness: (M,) float32, b of a light that shines with (1 + b) c / (1 + b (1 - c^2))^2 instead of the cosine c.
+    lobe: (M, LOBE) float32, row of `surfaces.lobes` of what such a light stands for, whose `ALPHA` is below 0 where it is none (`by_lobe`).
     """
 
     position: np.ndarray
@@ -110,13 +115,22 @@ class Vpls(NamedTuple):
     side: np.ndarray
     shine: np.ndarray
     sharpness: np.ndarray
+    lobe: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> Vpls:
         """Room for n lights, not set."""
         f, e = np.float32, np.empty
         return Vpls(
-            e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e((n, 3), f), *(e(n, np.int32) for _ in range(3)), e(n, np.uint8), e(n, f)
+            e((n, 3), f),
+            e(n, f),
+            e((n, 3), f),
+            e((n, 3), f),
+            e((n, 3), f),
+            *(e(n, np.int32) for _ in range(3)),
+            e(n, np.uint8),
+            e(n, f),
+            e((n, LOBE), f),
         )
 
     def take(self, index) -> Vpls:
@@ -155,16 +169,22 @@ def faded(emitters, e, near, t):
 
 
 @leaf
-def reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2):
-    """A direction drawn from the glossy lobe for light along d -> (direction, weights whose mean is the albedo).
-
-    s, g: shading and geometric normal on the lit side.  lobe: (LOBE,) float32, scratch.
-    """
+def _set_reflection(row, surface, roughness, sx, sy, sz, gx, gy, gz, dx, dy, dz):
+    """Fills a row of `surfaces.lobes` with the glossy lobe of a surface, as rough as `roughness`, for light along d; s, g as of `reflected`."""
     set_lobe(
-        lobe, sx, sy, sz, gx, gy, gz, -dx, -dy, -dz, surface[ROUGHNESS],
+        row, sx, sy, sz, gx, gy, gz, -dx, -dy, -dz, roughness,
         surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2],
         surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2], surface[GLOSS], surface[GLOSS + 1], surface[GLOSS + 2], surface[GLOSS + 3],
     )  # fmt: skip
+
+
+@leaf
+def reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2):
+    """A direction drawn from the glossy lobe for light along d -> (direction, weights whose mean is the albedo).
+
+    s, g: shading and geometric normal on the lit side.  lobe: (LOBE,) float32, is set to it.
+    """
+    _set_reflection(lobe, surface, surface[ROUGHNESS], sx, sy, sz, gx, gy, gz, dx, dy, dz)
     if not lobe[ALPHA] > _0:
         return gx, gy, gz, _0, _0, _0
     wx, wy, wz, r, g, b, _ = sample_lobe(lobe, u1, u2)
@@ -176,37 +196,54 @@ def reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2):
 
 
 @leaf
-def _axis(lobe, sharpest, gx, gy, gz, wx, wy, wz):
-    """Axis and sharpness of a light for a reflection into the direction w, drawn from the lobe: all such lights together shine as the lobe does.
-
-    A light about w itself would spread it twice.  Its axis lies between w and the middle of the lobe, its sharpness is up to twice
-    the lobe's: then both spreads together, axes and lights, are the lobe's.  No light is sharper than `sharpest`; where that is
-    not as sharp as the lobe, all axes lie in the middle.
-    """
-    if not sharpest > _0:
-        return wx, wy, wz, _0
+def _axis(lobe, sharpest, gx, gy, gz):
+    """Axis and sharpness, `sharpest` at most, of a light about as wide as a lobe (row of `surfaces.lobes`), on the side g of its surface."""
     alpha = lobe[ALPHA]
     nx, ny, nz = lobe[NORMAL], lobe[NORMAL + 1], lobe[NORMAL + 2]
     vx, vy, vz = lobe[VIEWER], lobe[VIEWER + 1], lobe[VIEWER + 2]
     cosine = nx * vx + ny * vy + nz * vz
     # Low light is reflected as widely as other light up and down, but less to the sides, by its cosine; this is as wide in the mean.
-    own = np.float32(2.0) * _AS_WIDE / max(alpha * alpha * (_1 + cosine * cosine), np.float32(1e-12))
-    sharp = min(sharpest, np.float32(2.0) * own)
-    toward = np.float32(math.sqrt(max(_0, _1 - own / sharp)))
+    sharp = min(sharpest, np.float32(2.0) * _AS_WIDE / max(alpha * alpha * (_1 + cosine * cosine), np.float32(1e-12)))
     c = np.float32(2.0) * cosine
     # Wide lobes lean towards the normal (Lagarde & de Rousiers 2014, Moving Frostbite to PBR, section 4.9.3).
     lean = _1 - alpha * alpha
-    mx, my, mz = nx + lean * (c * nx - vx - nx), ny + lean * (c * ny - vy - ny), nz + lean * (c * nz - vz - nz)
-    length = np.float32(math.sqrt(mx * mx + my * my + mz * mz))
-    mx, my, mz = mx / length, my / length, mz / length
-    ax, ay, az = mx + toward * (wx - mx), my + toward * (wy - my), mz + toward * (wz - mz)
+    ax, ay, az = nx + lean * (c * nx - vx - nx), ny + lean * (c * ny - vy - ny), nz + lean * (c * nz - vz - nz)
     length = np.float32(math.sqrt(ax * ax + ay * ay + az * az))
-    if not length > np.float32(1e-3):
-        return wx, wy, wz, sharp
     ax, ay, az = ax / length, ay / length, az / length
-    if ax * gx + ay * gy + az * gz <= _0:
-        return wx, wy, wz, sharp
+    if not ax * gx + ay * gy + az * gz > _0:
+        return gx, gy, gz, _0
     return ax, ay, az, sharp
+
+
+@leaf
+def _uncut(gx, gy, gz, ax, ay, az, sharp):
+    """How much brighter a light about the axis a is for the surface, of the normal g, that cuts it off: what is left has the light of all of it."""
+    return np.float32(2.0) / (_1 + _flattened(gx * ax + gy * ay + gz * az, sharp))
+
+
+@leaf
+def by_lobe(vpls, j, x, y, z):
+    """How much more the lobe that light j stands for sends towards a point than the light does; 1 for a light that is no lobe's.
+
+    Than such lights do in the mean, of which `ROUND` shine with a cosine about their surface's normal: by the balance heuristic (Veach & Guibas 1995)
+    each of them sends as much as the lobe, and none has to make up for directions in which lights about the lobe's middle send next to nothing.
+    """
+    if not vpls.lobe[j, ALPHA] > _0:
+        return _1
+    dx, dy, dz = x - vpls.position[j, 0], y - vpls.position[j, 1], z - vpls.position[j, 2]
+    inverse = _1 / max(np.float32(math.sqrt(dx * dx + dy * dy + dz * dz)), np.float32(1e-20))
+    dx, dy, dz = inverse * dx, inverse * dy, inverse * dz
+    gx, gy, gz = vpls.surface_normal[j, 0], vpls.surface_normal[j, 1], vpls.surface_normal[j, 2]
+    cos_g = gx * dx + gy * dy + gz * dz
+    cos_s = vpls.lobe[j, NORMAL] * dx + vpls.lobe[j, NORMAL + 1] * dy + vpls.lobe[j, NORMAL + 2] * dz
+    if not (cos_g > _0 and cos_s > _0):
+        return _0
+    ax, ay, az, sharp = _axis(vpls.lobe[j], SHARPEST, gx, gy, gz)
+    cosine = max(_0, ax * dx + ay * dy + az * dz)
+    spread = _1 + sharp * (_1 - cosine * cosine)
+    light = (_1 - ROUND) * _uncut(gx, gy, gz, ax, ay, az, sharp) * (_1 + sharp) * cosine / (spread * spread) + ROUND * cos_g
+    r, g, b, _ = lobe_value(vpls.lobe[j], dx, dy, dz)
+    return _PI * _THIRD * (r + g + b) * min(MAX_ADJOINT, cos_g / cos_s) / (vpls.lobe[j, ALBEDO] * light)
 
 
 @kernel
@@ -423,18 +460,26 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         flying[lane] = False
                         continue
                     lit, sharp = _1, _0
+                    vpls.lobe[n, ALPHA] = -_1
                     shine = np.uint8(0)
                     if bounce > 0:
                         shine = np.uint8(THROUGH if glossy or transmitted else 0)
-                    elif glossy and surface[ROUGHNESS] < WIDE:
+                    elif glossy:
                         shine = np.uint8(SHINE)
                     if glossy:
                         wx, wy, wz, r, g, b = reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2)
                         r, g, b = r / chance, g / chance, b / chance
+                        axis_x, axis_y, axis_z = wx, wy, wz
                         # Light that has left a surface before comes from all around: a narrow light for it would be one bright spot for many dim ones.
-                        axis_x, axis_y, axis_z, sharp = _axis(lobe, sharpest if bounce == 0 else _0, gx, gy, gz, wx, wy, wz)
-                        # About its axis, it is cut off by the surface; what is left has the light of all of it.
-                        lit = np.float32(2.0) / (_1 + _flattened(gx * axis_x + gy * axis_y + gz * axis_z, sharp))
+                        if sharpest > _0 and bounce == 0 and lobe[ALPHA] > _0:
+                            _set_reflection(vpls.lobe[n], surface, max(surface[ROUGHNESS], BLUR), sx, sy, sz, gx, gy, gz, dx, dy, dz)
+                        if vpls.lobe[n, ALPHA] > _0:
+                            whole = lobe[ALBEDO] / (_THIRD * (fr + fg + fb) * chance)
+                            all_r, all_g, all_b = whole * fr, whole * fg, whole * fb
+                            axis_x, axis_y, axis_z = gx, gy, gz
+                            if pick >= ROUND * chance:
+                                axis_x, axis_y, axis_z, sharp = _axis(vpls.lobe[n], sharpest, gx, gy, gz)
+                        lit = _uncut(gx, gy, gz, axis_x, axis_y, axis_z, sharp)
                     else:
                         rest = _1 - chance
                         if transmitted:
@@ -446,8 +491,11 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         wx, wy, wz = to_world(lx, ly, lz, gx, gy, gz)
                         left = shadowing(surface[TILT], -cos_g) / rest
                         r, g, b = left * dr, left * dg, left * db
-                    r, g, b = flux[lane, 0] * adjoint * r, flux[lane, 1] * adjoint * g, flux[lane, 2] * adjoint * b
-                    if not max(r, g, b) > 0:
+                    if not vpls.lobe[n, ALPHA] > _0:
+                        all_r, all_g, all_b = r, g, b
+                    here_r, here_g, here_b = flux[lane, 0] * adjoint, flux[lane, 1] * adjoint, flux[lane, 2] * adjoint
+                    r, g, b, all_r, all_g, all_b = here_r * r, here_g * g, here_b * b, here_r * all_r, here_g * all_g, here_b * all_b
+                    if not max(all_r, all_g, all_b) > 0:
                         flying[lane] = False
                         continue
                     ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, wx, wy, wz)
@@ -457,15 +505,15 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         x, y, z, gx, gy, gz = ox, oy, oz, axis_x, axis_y, axis_z
                     vpls.position[n, 0], vpls.position[n, 1], vpls.position[n, 2] = x, y, z
                     vpls.normal[n, 0], vpls.normal[n, 1], vpls.normal[n, 2] = gx, gy, gz
-                    vpls.flux[n, 0], vpls.flux[n, 1], vpls.flux[n, 2] = r * lit, g * lit, b * lit
+                    vpls.flux[n, 0], vpls.flux[n, 1], vpls.flux[n, 2] = all_r * lit, all_g * lit, all_b * lit
                     vpls.error[n] = error
                     vpls.emitter[n] = emitter[lane]
                     vpls.bounce[n] = bounce + 1
                     vpls.side[n] = surface_side(scene.materials, scene.material[triangle], behind)
                     vpls.shine[n], vpls.sharpness[n] = shine, sharp
                     n += 1
-                    kept_sum += (r + g + b) / born[lane]
-                    if bounce + 1 < len(survivors) and i < survivors[bounce + 1]:
+                    kept_sum += (all_r + all_g + all_b) / born[lane]
+                    if max(r, g, b) > 0 and bounce + 1 < len(survivors) and i < survivors[bounce + 1]:
                         more = np.float32(survivors[bounce] / survivors[bounce + 1])
                         kept = more * (r + g + b) / born[lane]
                         if kept < least:

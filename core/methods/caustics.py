@@ -22,7 +22,7 @@ from ..lamps.emission import FOR_EVER, emit, focused
 from ..lamps.links import lights
 from ..lamps.shapes import AWAY_FROM_CENTRE
 from ..lamps.tables import CASTS_SHADOW, FADING, ONE_MINUS_COS, RADIUS, SEEN_BY_GLOSSY
-from ..particles import MAX_ADJOINT, faded, reflected
+from ..particles import BLUR, MAX_ADJOINT, faded, reflected
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.packet import WIDTH, is_occluded, new_packet, set_ray
 from ..rays.trace import ALL, OPAQUE, intersect1, occluded1, occluded_packet
@@ -32,7 +32,7 @@ from ..sampling.maps import orthonormal_basis
 from ..sampling.sequences import sobol
 from ..scene import ANGLED, DIFFUSE, POINT, REFRACTIVE, SPOT, SUN, TRANSPARENT, bounds
 from ..surfaces.bending import STRAIGHT_ON, bent, scattered
-from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSPARENCY, WIDE, passing_chance
+from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSPARENCY, passing_chance
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value
 from ..surfaces.microfacet import SMALLEST_ALPHA
 from ..surfaces.normals import mapped_normal, shading_normal
@@ -54,7 +54,7 @@ MOST_BESIDE = 16  # times as many, at most
 MOST_FLOWN, MOST_BY_LOBES = 1 << 20, 1 << 20  # particles; virtual lights could stand for what lobes throw as well
 NEAREST = 48  # photons among which the light of one is spread that lenses have bent
 FEWEST_NEAREST, PART_NEAREST, MOST_NEAREST = 64, 1 / 256, 256  # the same of what lobes reflect, which is less sharp
-WORTHWHILE = 0.02  # share of the view's light that lobes throw
+WORTHWHILE = 0.03  # share of the view's light that lobes throw, weighed by how far virtual lights blur them
 MUCH, LEAST_PART = 0.2, 0.5  # share of the view's light from which on all photons are traced, and the least part of them
 MANY = 4  # times as many photons as neighbours, at least: fewer tell nothing
 LOOKS = 32  # of the photons by lobes around it that each point looks at, a quarter where they bring little: its own noise is the denoiser's
@@ -81,7 +81,8 @@ class Photons(NamedTuple):
     position: (P, 3) float32 (m).  normal: (P, 3) float32, geometric, on the lit side.  direction: (P, 3) float32, unit, in which they flew.
     entry: (P, 3) float32, where they first met glass, or the lobe (m).  flux: (P, 3) float32, W.  side: (P,) float32, 1 where
     the normal is their triangle's own, else -1.  group: (P,) int32, their lamps' light groups.
-    mirrored: (P,) uint8, whether what reflected them `is_mirror` to wide lobes.
+    mirrored: (P,) uint8, whether what reflected them `is_mirror` to wide lobes.  narrow: (P,) float32, by how much narrower it is
+    than virtual lights can tell, by `particles.BLUR`: 0 to 1.
     """
 
     position: np.ndarray
@@ -92,12 +93,17 @@ class Photons(NamedTuple):
     side: np.ndarray
     group: np.ndarray
     mirrored: np.ndarray
+    narrow: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> Photons:
         """Room for n photons, not set."""
         return Photons(
-            *(np.empty((n, 3), np.float32) for _ in range(5)), np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.uint8)
+            *(np.empty((n, 3), np.float32) for _ in range(5)),
+            np.empty(n, np.float32),
+            np.empty(n, np.int32),
+            np.empty(n, np.uint8),
+            np.empty(n, np.float32),
         )
 
     def take(self, index) -> Photons:
@@ -137,6 +143,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
         hides = emitters.shadow_kinds[e]
         kinds = DIFFUSE | hides
         thrown = mirrored = False
+        narrow = _0
         ax, ay, az = dx, dy, dz  # the straight way
         x = y = z = qx = qy = qz = flown = _0
         glasses = 0
@@ -190,7 +197,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                         break
                     if not flags & TRANSPARENT:
                         evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
-                    if not surface[ROUGHNESS] < WIDE or (sizeless and not surface[ROUGHNESS] * surface[ROUGHNESS] > SMALLEST_ALPHA):
+                    if sizeless and not surface[ROUGHNESS] * surface[ROUGHNESS] > SMALLEST_ALPHA:
                         break
                     nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                     nx, ny, nz = mapped_normal(scene.materials, scene.material[triangle], surface, nx, ny, nz)
@@ -214,6 +221,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     qx, qy, qz = ox, oy, oz
                     thrown, entered, kinds = True, OUTSIDE, DIFFUSE
                     mirrored = is_mirror(scene.materials, scene.material[triangle])
+                    narrow = max(_0, _1 - (surface[ROUGHNESS] / BLUR) ** 2)
                     continue
                 if not (bends or thrown):
                     break
@@ -223,7 +231,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 photons.direction[n, 0], photons.direction[n, 1], photons.direction[n, 2] = dx, dy, dz
                 photons.entry[n, 0], photons.entry[n, 1], photons.entry[n, 2] = qx, qy, qz
                 photons.flux[n, 0], photons.flux[n, 1], photons.flux[n, 2] = r, g, b
-                photons.side[n], photons.group[n], photons.mirrored[n] = side, emitters.light_group[e], mirrored
+                photons.side[n], photons.group[n] = side, emitters.light_group[e]
+                photons.mirrored[n], photons.narrow[n] = mirrored, narrow
                 n += 1
                 break
             # What hides from diffuse rays sends none of them to the lamp.
@@ -270,12 +279,13 @@ def _traced(
 
 def trace_photons(
     scene: Transport, position: np.ndarray, wanted: float, most: int, bounces: int, seed: int, threads: int = 0,
-    progress: Progress | None = None, *, lobes: bool = False,
+    progress: Progress | None = None, *, lobes: bool = False, narrow: float = 0.0,
 ) -> tuple[Photons, int]:  # fmt: skip
     """About so many photons `wanted` around points (N, 3), of `most` particles, none where nothing throws light on anything; and the rays traced.
 
     Their density, flux a unit of area, is the irradiance (W/m^2) that shadow rays miss; or, with `lobes`, what glossy surfaces reflect
-    of the lamps' light at first hand.  bounces: as of the picture.
+    of the lamps' light at first hand.  bounces: as of the picture.  narrow: what the mean `Photons.narrow` of those around the points, weighed by
+    their light, must be at least; else there are none.
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -296,6 +306,9 @@ def trace_photons(
         photons, more = _traced(scene, PILOT, seed, *how)
         rays += more
     telling = useful(photons)
+    light = photons.flux[telling].sum(axis=1, dtype=np.float64)
+    if light @ photons.narrow[telling] < narrow * light.sum():
+        return photons.take(slice(0, 0)), rays
     if np.count_nonzero(telling) >= TELLING:
         scene = scene._replace(emitters=focused(scene.emitters, photons.entry[telling]))
         photons, more = _traced(scene, PILOT, seed + 1, *how)
@@ -335,7 +348,9 @@ def by_lobes(
     part = min(1.0, max(share / MUCH, LEAST_PART))  # of less light, more noise is as good
     more = min(vpls / VPLS, MOST_BESIDE)
     wanted = part * more * BY_LOBES
-    photons, rays = trace_photons(scene, position, wanted, int(more * MOST_BY_LOBES), bounces, seed, threads, progress, lobes=True)
+    photons, rays = trace_photons(
+        scene, position, wanted, int(more * MOST_BY_LOBES), bounces, seed, threads, progress, lobes=True, narrow=WORTHWHILE / share
+    )
     nearest = int(np.clip(PART_NEAREST * wanted, FEWEST_NEAREST, MOST_NEAREST))
     if len(photons.group) < MANY * nearest:
         return None, rays

@@ -21,7 +21,7 @@ from ..jit import inlined, kernel, leaf
 from ..lamps import focus_share, focused
 from ..lamps.direct import set_point_lobe
 from ..lamps.escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray
-from ..particles import BRIGHTEST, SHINE, THROUGH, Vpls, is_ahead, trace_by_power
+from ..particles import BRIGHTEST, SHINE, THROUGH, Vpls, by_lobe, is_ahead, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
 from ..rays.packet import (
@@ -45,7 +45,7 @@ from ..rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..scene import DIFFUSE, EMISSIVE, METAL, TRANSPARENT
-from ..surfaces.by_view import DIFFUSE_ALONE, difference, views
+from ..surfaces.by_view import difference, views
 from ..surfaces.layout import SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
@@ -350,7 +350,9 @@ def _trace_lights(scene, packet, rows, surface, cutouts, by_view, points, vpls, 
                 r = g = b = _0
         w = value[lane] * np.float32(3.0) / (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2])
         if _is_first_diffuse(vpls, j):
-            w *= _1 + difference(by_view, vpls.side[j] >> 1, DIFFUSE_ALONE, _cosine_at(vpls, j, points, k))
+            w *= _1 + difference(by_view, vpls.side[j] >> 1, _cosine_at(vpls, j, points, k))
+        else:
+            w *= by_lobe(vpls, j, points.position[k, 0], points.position[k, 1], points.position[k, 2])
         c = 3 * scene.emitters.light_group[vpls.emitter[j]]
         r, g, b = w * r * vpls.flux[j, 0], w * g * vpls.flux[j, 1], w * b * vpls.flux[j, 2]
         if seen[lane, 0] >= _0:

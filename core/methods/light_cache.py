@@ -19,7 +19,7 @@ from ..jit import inlined, kernel, leaf
 from ..sampling.hashing import uniform
 from ..sampling.maps import orthonormal_basis
 from ..scene import bounds
-from ..surfaces.by_view import VIEWS, WITH_WIDE, difference, differences
+from ..surfaces.by_view import VIEWS, difference, differences
 from ..threads import Cancelled, Progress, run_chunks
 from .partition import divided
 
@@ -126,7 +126,7 @@ class LightCache(NamedTuple):
     centre: (C, 6) float32, middle and normal of the cells.  side: (C,) int32, their sides.
     root: (C,) int64, the coarsest cell around each.
     first: (C, 3 G) float32 W/m^2, of `sent`, what has come straight from lamps but for what narrow lobes reflect: the mean over all views, from which
-        one view differs by a material's row of by_view (M, 2, `VIEWS`), as of `by_view.views`.
+        one view differs by a material's row of by_view (M, `VIEWS`), as of `by_view.views`.
     """
 
     origin: np.ndarray
@@ -172,7 +172,7 @@ def no_cache() -> LightCache:
         np.zeros(0, np.int32),
         np.zeros(0, np.int64),
         none.reshape(0, 3),
-        np.zeros((0, 2, VIEWS), np.float32),
+        np.zeros((0, VIEWS), np.float32),
     )
 
 
@@ -245,7 +245,7 @@ def find_cell(cache, x, y, z, nx, ny, nz, side, u1, u2):
 @inlined
 def more_by_view(cache, cell, cosine):
     """How much more of its `first` light a cell shows a view at a cosine than in the mean."""
-    return difference(cache.by_view, cache.side[cell] >> 1, WITH_WIDE, cosine)
+    return difference(cache.by_view, cache.side[cell] >> 1, cosine)
 
 
 @leaf
@@ -675,7 +675,7 @@ def build_light_cache(
     gathered: how many of them the light has left that gather rays look up, None for `bounces`.
     later: what virtual lights carry of light that has left several surfaces, as a part of what they carry of other light.
     relied: the part of what would be left to the cache that virtual lights carry all the same, as far as their geometry term is not clamped.
-    by_view: (M, 2, `VIEWS`) of the materials, None where all views are alike.  mirrors: (M,) bool, those whose lobes gather rays follow; None for none.
+    by_view: (M, `VIEWS`) of the materials, None where all views are alike.  mirrors: (M,) bool, those whose lobes gather rays follow; None for none.
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -687,7 +687,7 @@ def build_light_cache(
 
     n = int(probes.valid.sum())
     if by_view is None:
-        by_view = np.zeros((1 + (int(probes.side.max(initial=0)) >> 1), 2, VIEWS), np.float32)
+        by_view = np.zeros((1 + (int(probes.side.max(initial=0)) >> 1), VIEWS), np.float32)
     probes = _of_all_views(probes, by_view)
     origin, extent = _grid(probes)
     size = np.float32(cell_size(probes, origin, extent, seed))
@@ -743,10 +743,10 @@ def build_light_cache(
 
 
 def _of_all_views(probes: Probes, by_view: np.ndarray) -> Probes:
-    """The probes with direct light that is the mean over all views, not what their own path sees: but for that which narrow lobes reflect."""
+    """The probes with direct light that is the mean over all views, not what their own path sees: but for that which lobes reflect."""
     if not by_view.any():
         return probes
-    seen = np.maximum(LEAST_SEEN, _1 + differences(by_view, probes.side >> 1, WITH_WIDE, probes.cosine))[:, None]
+    seen = np.maximum(LEAST_SEEN, _1 + differences(by_view, probes.side >> 1, probes.cosine))[:, None]
     direct = probes.shine + (probes.direct - probes.shine) / seen
     return probes._replace(direct=direct, beneath=probes.beneath / seen, glass=probes.glass / seen)
 

@@ -37,7 +37,6 @@ from ..surfaces.layout import (
     SHEEN_ROUGHNESS,
     SURFACE,
     TILT,
-    WIDE,
     diffuse_albedo,
     glossy_rise,
     translucency,
@@ -74,8 +73,8 @@ def scatter_light(
     on: its triangle.  (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
     overwritten.  lobe: (LOBE,) float32, scratch.  entered: solids of glass that the surface lies in, to its view.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn, and light by way of glass counts.
     towards: whether a glossy lobe sends the lamps' light where it does, not as a diffuse one.  at: first dimension.
-    out, shine, beneath: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, of what
-    comes through, and of a `WIDE` glossy lobe, to that of `out`, of another glossy one, times `sheen`, to that of `shine`.
+    out, shine, beneath: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, and of what
+    comes through, to that of `out`, of the glossy one, times `sheen`, to that of `shine`.
     What comes from below the facet, where no particle lands, or nearly along it, where their weight is bounded, goes to `beneath`, times `aside`.
     glass: (N, 3 G) float32, where `apart`: the part of all that which came by way of glass.
 
@@ -139,7 +138,7 @@ def scatter_light(
                 r, g, b = lit * r * (dr + more * hr), lit * g * (dg + more * hg), lit * b * (db + more * hb)
             else:
                 r, g, b = lit * r * dr, lit * g * dg, lit * b * db
-            if roughness < WIDE and across > _0:
+            if across > _0:
                 shine[i, c] += sheen * fr
                 shine[i, c + 1] += sheen * fg
                 shine[i, c + 2] += sheen * fb

@@ -14,42 +14,40 @@ import numpy as np
 from ..jit import inlined, kernel
 from ..scene import ANGLED, CONSTANT, COVERED, TRANSLUCENT, MaterialTables
 from .covers import own_materials
-from .layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, WIDE, diffuse_albedo, diffuse_albedo_average
+from .layout import diffuse_albedo, diffuse_albedo_average
 from .places import some_surfaces
 
-DIFFUSE_ALONE, WITH_WIDE = 0, 1
 VIEWS = 16  # cosines, more of them at grazing views: their roots are evenly spaced
-_MEAN_RISE = 0.08  # about how far a glossy albedo rises from F0 to F90 in the mean over the views
 _0 = np.float32(0)
 _1 = np.float32(1)
 
 
 @inlined
-def difference(table, material, kind, cosine):
+def difference(table, material, cosine):
     """Light towards a view at `cosine` over its mean over all views, less 1, of a material of a `views` table."""
     x = np.float32(math.sqrt(min(_1, max(_0, cosine)))) * np.float32(VIEWS - 1)
     i = min(np.int64(x), VIEWS - 2)
-    low = table[material, kind, i]
-    return low + (x - np.float32(i)) * (table[material, kind, i + 1] - low)
+    low = table[material, i]
+    return low + (x - np.float32(i)) * (table[material, i + 1] - low)
 
 
 @kernel
-def _differences(table, materials, kind, cosine, out):
+def _differences(table, materials, cosine, out):
     for i in range(len(materials)):
-        out[i] = difference(table, materials[i], kind, cosine[i])
+        out[i] = difference(table, materials[i], cosine[i])
 
 
-def differences(table: np.ndarray, materials: np.ndarray, kind: int, cosine: np.ndarray) -> np.ndarray:
+def differences(table: np.ndarray, materials: np.ndarray, cosine: np.ndarray) -> np.ndarray:
     """`difference` of many materials (N,) at as many cosines, (N,) float32."""
     out = np.empty(len(materials), np.float32)
-    _differences(table, np.ascontiguousarray(materials, np.int32), kind, np.ascontiguousarray(cosine, np.float32), out)
+    _differences(table, np.ascontiguousarray(materials, np.int32), np.ascontiguousarray(cosine, np.float32), out)
     return out
 
 
 @kernel
-def _add_views(surfaces, owner, seen, mean, wide):
-    """Adds the diffuse albedo of surfaces (N, SURFACE) at each view to the row `owner` (N,) of `seen` (M, VIEWS), its mean to `mean` (M,), and
-    what wide glossy lobes reflect in the mean to `wide` (M,); sums of the channels."""
+def _add_views(surfaces, owner, seen, mean):
+    """Adds the diffuse albedo of surfaces (N, SURFACE) at each view to the row `owner` (N,) of `seen` (M, VIEWS) and its mean to `mean` (M,);
+    sums of the channels."""
     for i in range(len(surfaces)):
         surface, m = surfaces[i], owner[i]
         for k in range(VIEWS):
@@ -58,30 +56,26 @@ def _add_views(surfaces, owner, seen, mean, wide):
             seen[m, k] += r + g + b
         r, g, b = diffuse_albedo_average(surface)
         mean[m] += r + g + b
-        if surface[ROUGHNESS] >= WIDE:
-            for c in range(3):
-                wide[m] += surface[GLOSSY_F0 + c] + _MEAN_RISE * max(_0, surface[GLOSSY_F90 + c] - surface[GLOSSY_F0 + c])
 
 
 def views(tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, threads: int = 0) -> np.ndarray:
-    """(M, 2, VIEWS) float32 `difference` of M materials: of diffuse light alone, and of it and the lamps' light that a `layout.WIDE` glossy lobe reflects.
+    """(M, VIEWS) float32 `difference` of M materials.
 
     material: (T,) int32, of the triangles.  attributes: (K, T, 3, 4) float32.
     Zeros where the nodes ask for the view themselves, and for translucent materials, which have another albedo from behind.
     """
     count = len(tables.flags)
-    seen, mean, wide = np.zeros((count, VIEWS), np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
+    seen, mean = np.zeros((count, VIEWS), np.float32), np.zeros(count, np.float32)
     constant = np.flatnonzero(tables.flags & CONSTANT)
-    _add_views(np.ascontiguousarray(tables.constant[constant], np.float32), constant, seen, mean, wide)
+    _add_views(np.ascontiguousarray(tables.constant[constant], np.float32), constant, seen, mean)
     own = own_materials(tables)
     textured = tables.flags & (CONSTANT | COVERED) == 0
     if textured.any():
         if (tables.flags & COVERED).any():  # their triangles tell of their own materials
             material = own[material]
         surfaces, owner = some_surfaces(tables, material, attributes, textured, threads)
-        _add_views(surfaces, owner, seen, mean, wide)
-    out = np.zeros((count, 2, VIEWS), np.float32)
+        _add_views(surfaces, owner, seen, mean)
+    out = np.zeros((count, VIEWS), np.float32)
     known = (mean > 1e-6) & (tables.flags & (ANGLED | TRANSLUCENT) == 0)
-    out[known, DIFFUSE_ALONE] = seen[known] / mean[known, None] - 1
-    out[:, WITH_WIDE] = (mean / np.maximum(mean + wide, 1e-6))[:, None] * out[:, DIFFUSE_ALONE]
+    out[known] = seen[known] / mean[known, None] - 1
     return out[own]

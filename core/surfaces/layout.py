@@ -46,8 +46,6 @@ BEND = 49  # index of refraction by which REFRACTION leaves, weighted by it; 1 f
 SURFACE = 50  # length
 
 COAT_TOP = F(-1)  # the first number of `GLOSS` of a coat's lobe by itself; among others it counts as 1
-# Lobes at least as rough spread light about as a diffuse one does.
-WIDE = F(0.5)
 # z of an index of refraction of 1.5, whose Fresnel curve stands for all glossy lobes in means
 _GLOSSY_Z = F(0.2**0.5)
 

@@ -6,7 +6,7 @@ import pytest
 from lumigate.core import scene as sc
 from lumigate.core.methods.light_cache import Probes, _of_all_views
 from lumigate.core.surfaces import ggx
-from lumigate.core.surfaces.by_view import DIFFUSE_ALONE, VIEWS, WITH_WIDE, differences, views
+from lumigate.core.surfaces.by_view import VIEWS, differences, views
 from lumigate.core.surfaces.layout import (
     DIFFUSE,
     DIFFUSE_ROUGHNESS,
@@ -42,21 +42,14 @@ def test_the_mean_over_all_views_is_none_of_them(build, roughness):
     table = table_of(varnished(build, roughness))
     cosine = np.sqrt((np.arange(4096) + 0.5) / 4096).astype(np.float32)  # cosine-distributed
     one = np.ones(len(cosine), np.int32)
-    for kind in (DIFFUSE_ALONE, WITH_WIDE):
-        assert differences(table, one, kind, cosine).mean() == pytest.approx(0, abs=0.004)
-        assert not differences(table, 0 * one, kind, cosine).any()
+    assert differences(table, one, cosine).mean() == pytest.approx(0, abs=0.004)
+    assert not differences(table, 0 * one, cosine).any()
 
 
 def test_grazing_views_see_less_under_a_sharp_lobe(build):
     table = table_of(varnished(build, 0.1))
-    low, high = differences(table, [1, 1], DIFFUSE_ALONE, [0.1, 1.0])
+    low, high = differences(table, [1, 1], [0.1, 1.0])
     assert low < -0.3 and 0.02 < high < 0.1
-
-
-def test_what_a_wide_lobe_reflects_is_not_turned(build):
-    table = table_of(varnished(build, 0.7))
-    assert (np.abs(table[1, WITH_WIDE]) <= np.abs(table[1, DIFFUSE_ALONE])).all()
-    assert np.abs(table[1, WITH_WIDE]).max() < 0.99 * np.abs(table[1, DIFFUSE_ALONE]).max()
 
 
 def test_rough_diffuse_surfaces_count(build):
@@ -69,7 +62,7 @@ def test_rough_diffuse_surfaces_count(build):
 def test_materials_that_know_the_view_themselves_are_left_alone(build, flag):
     tables = varnished(build, 0.1)
     tables.flags[1] |= flag
-    assert table_of(tables).shape == (2, 2, VIEWS)
+    assert table_of(tables).shape == (2, VIEWS)
     assert not table_of(tables).any()
 
 
@@ -78,7 +71,7 @@ def test_probes_tell_the_mean_of_all_views_whichever_theirs_is(build):
     table = table_of(varnished(build, 0.0))
     probes = Probes.allocate(3)
     probes.side[:], probes.cosine[:], probes.valid[:] = 2, (1.0, 0.3, 0.0), 1
-    seen = 1 + differences(table, probes.side >> 1, WITH_WIDE, probes.cosine)
+    seen = 1 + differences(table, probes.side >> 1, probes.cosine)
     probes.shine[:] = 0.5
     probes.direct[:] = 0.5 + seen[:, None]
     direct = _of_all_views(probes, table).direct[:, 0]

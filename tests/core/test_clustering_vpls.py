@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from lumigate.core.clustering import cluster_vpls, sum_by_cluster
 from lumigate.core.particles import Vpls
+from lumigate.core.surfaces.lobes import LOBE
 
 from .clustering_points import awkward, room
 
@@ -29,6 +30,7 @@ def lights(n, seed=0, make=room):
         np.zeros(n, np.int32),
         np.zeros(n, np.uint8),
         np.zeros(n, np.float32),
+        np.full((n, LOBE), -1, np.float32),
     )
 
 
