@@ -12,8 +12,9 @@ tracer computes with shading normals.
 Glossy surfaces: at each hit a particle is reflected by the diffuse or by the glossy lobe, drawn by their albedos for the
 light's own direction, and flies on as that lobe sends it.  A glossy reflection leaves a VPL that shines about the
 direction drawn from the lobe: all of them together shine as the lobe does, blurred by a cosine, with its energy.  Those by
-`trace_by_power` shine about it more narrowly, by a cosine that is stretched along it (Heitz, Dupuy, Hill & Neubelt 2016,
-Real-Time Polygonal-Light Shading with Linearly Transformed Cosines): 1 / sqrt(1 + b) times as wide, b their sharpness.
+`trace_by_power` stand for the lobe itself (`Vpls.lobe`), which `by_lobe` evaluates.  What they could give is told by a cosine about the lobe's
+middle, stretched along it (Heitz, Dupuy, Hill & Neubelt 2016, Real-Time Polygonal-Light Shading with Linearly Transformed Cosines):
+1 / sqrt(1 + b) times as wide, b their sharpness.
 Only diffuse reflections count as bounces, as in Cycles; the first surface that a lamp lights is free in any case.
 
 Glass: a particle flies against the path that finds it, from behind; what a surface lets through is what it does for that path.  Whether that
