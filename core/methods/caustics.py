@@ -54,8 +54,10 @@ MOST_BESIDE = 16  # times as many, at most
 MOST_FLOWN, MOST_BY_LOBES = 1 << 20, 1 << 20  # particles; virtual lights could stand for what lobes throw as well
 NEAREST = 48  # photons among which the light of one is spread that lenses have bent
 FEWEST_NEAREST, PART_NEAREST, MOST_NEAREST = 64, 1 / 256, 256  # the same of what lobes reflect, which is less sharp
-WORTHWHILE = 0.03  # share of the view's light that lobes throw, weighed by how far virtual lights blur them
-MUCH, LEAST_PART = 0.2, 0.5  # share of the view's light from which on all photons are traced, and the least part of them
+WORTHWHILE = 0.02  # share of the view's light that lobes throw, weighed by how far virtual lights blur them
+# Share of the view's light from which on all photons are traced, however wide the lobes (close by, the clamp leaves virtual lights' part to rays that know
+# no direction), and the least part of them.
+MUCH, LEAST_PART = 0.2, 0.5
 MANY = 4  # times as many photons as neighbours, at least: fewer tell nothing
 LOOKS = 32  # of the photons by lobes around it that each point looks at, a quarter where they bring little: its own noise is the denoiser's
 ASKED = 16  # neighbours that tell how far more of them are
@@ -348,8 +350,9 @@ def by_lobes(
     part = min(1.0, max(share / MUCH, LEAST_PART))  # of less light, more noise is as good
     more = min(vpls / VPLS, MOST_BESIDE)
     wanted = part * more * BY_LOBES
+    narrow = WORTHWHILE / share if share < MUCH else 0.0
     photons, rays = trace_photons(
-        scene, position, wanted, int(more * MOST_BY_LOBES), bounces, seed, threads, progress, lobes=True, narrow=WORTHWHILE / share
+        scene, position, wanted, int(more * MOST_BY_LOBES), bounces, seed, threads, progress, lobes=True, narrow=narrow
     )
     nearest = int(np.clip(PART_NEAREST * wanted, FEWEST_NEAREST, MOST_NEAREST))
     if len(photons.group) < MANY * nearest:
