@@ -1,7 +1,7 @@
 """Caustics: the lamps' light that glass bends, or that polished surfaces reflect, on its way to what is lit.
 
 A shadow ray goes straight and cannot find what lenses throw (`surfaces.visibility` tells where one is in the way); virtual lights stand for what
-glossy lobes throw, but none is sharper than `particles.SHARPEST`, and close by they are clamped.  Photons find both (Jensen 1996,
+glossy lobes throw, but of no lobe narrower than `particles.BLUR`, and close by they are clamped.  Photons find both (Jensen 1996,
 "Global Illumination using Photon Maps"): they leave the lamps, are bent by clear glass and scattered by frosted glass, or reflected by the first
 lobe that they meet, and stay where they land after that.  Each shines on what lies among its nearest neighbours.  Lamps of no size have
 none by lenses and mirrors, as in Cycles, whose paths cannot meet them by chance.

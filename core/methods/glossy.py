@@ -246,17 +246,8 @@ def _reflect_chunk(
             shares = wide and not is_mirror(scene.materials, material)
             if (chance < _SHINY or shares) and t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
                 cell = find_cell(
-                    cache,
-                    px,
-                    py,
-                    pz,
-                    hx,
-                    hy,
-                    hz,
-                    surface_side(scene.materials, material, behind),
-                    uniform(key, index, 1, 2),
-                    uniform(key, index, 1, 3),
-                )
+                    cache, px, py, pz, hx, hy, hz, surface_side(scene.materials, material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
+                )  # fmt: skip
                 seen = -(hx * dx + hy * dy + hz * dz)
                 if cell >= 0 and shares:
                     part = balance(drawn, gather_density(shared.gather[i], across))
