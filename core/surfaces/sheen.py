@@ -37,20 +37,19 @@ def _fibre_albedo(cosine, roughness):
 
 
 def _velvet_albedo(cosine: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Albedo (C, S) of the velvet for views at `cosine` (C,), of spreads (S,), by quadrature over directions."""
-    n, m = 256, 128
-    z = (np.arange(n) + 0.5) / n
-    turn = (np.arange(m) + 0.5) * np.pi / m
-    z, turn = (a.ravel()[None, :] for a in np.meshgrid(z, turn))
-    c = cosine[:, None]
-    between = c * z + np.sqrt((1 - c * c) * (1 - z * z)) * np.cos(turn)
-    h2 = np.maximum(2 + 2 * between, 1e-9)  # squared length of light plus view
-    cos_h = (c + z) / np.sqrt(h2)
-    ratio = cos_h / np.maximum(np.sqrt(h2) / 2, 1e-5)
-    masked = np.minimum(1, np.minimum(2 * ratio * c, 2 * ratio * z)) / c
-    sine2 = np.maximum(1 - cos_h * cos_h, 1e-9)
-    found = [(np.exp(-(1 - sine2) / sine2 / s**2) / (np.pi * s**2 * sine2**2) * masked).mean(1) for s in spread]
-    return 0.25 * 2 * np.pi * np.stack(found, 1)
+    """Albedo (C, S) of the velvet for views at `cosine` (C,), of spreads (S,), by quadrature over its normals h.
+
+    By t = cot h / s, whose density is nearly that of a Gaussian.  This is done on every start: over directions of light it takes forty times as long.
+    """
+    n, m = 32, 64
+    t, turn = (np.arange(n)[:, None] + 0.5) * (4 / n), (np.arange(m) + 0.5) * np.pi / m
+    c, s = cosine[:, None, None, None], spread[:, None, None]
+    sine = 1 / np.sqrt(1 + (s * t) ** 2)
+    h = s * t * sine
+    between = np.sqrt(1 - c * c) * sine * np.cos(turn) + c * h
+    light = 2 * between * h - c
+    shown = np.minimum(np.minimum(between / c, 2 * h), 2 * h * light / c)  # the masking, times (h . view) / c
+    return (8 * np.exp(-t * t) / (s * sine) * np.where((light > 0) & (between > 0), shown, 0)).mean((2, 3))
 
 
 _NODES = np.maximum(np.arange(_SIZE) / (_SIZE - 1), 1e-2)
@@ -65,12 +64,18 @@ def _mean(albedo: np.ndarray) -> np.ndarray:
 
 def _fibre_means() -> np.ndarray:
     """Means of E at the nodes of the roughness."""
-    cosine = (np.arange(64) + 0.5) / 64
+    cosine = (np.arange(24) + 0.5) / 24
     return _mean(np.array([[_fibre_albedo.py_func(F(c), F(r)) for r in _NODES] for c in cosine]))
 
 
+def _velvet_means() -> np.ndarray:
+    """Means of the table at the nodes of the spread."""
+    cosine = (np.arange(256) + 0.5) / 256
+    return _mean(np.stack([np.interp(cosine * (_SIZE - 1), np.arange(_SIZE), column) for column in _VELVET.T], 1))
+
+
 _FIBRE_MEAN = _fibre_means()
-_VELVET_MEAN = _mean(_velvet_albedo((np.arange(64) + 0.5) / 64, _NODES))
+_VELVET_MEAN = _velvet_means()
 
 
 @inlined
