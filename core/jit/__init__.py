@@ -133,11 +133,8 @@ def kernel(function=None, *, fast: bool = True, **options):
         cached = options["cache"] and inside
         if numba.config.DISABLE_JIT:
             return function
-        dispatcher = Kernel(function, locals={}, targetoptions={k: v for k, v in options.items() if k != "cache"} | {"nopython": True})
-        if cached:
-            dispatcher._cache = _Cache(function)  # what `cache=True` does, with a cache of Numba's own
-            dispatcher.nested_cache = _NestedCache(function)
-        return dispatcher
+        targetoptions = {k: v for k, v in options.items() if k != "cache"} | {"nopython": True}
+        return Kernel(function, locals={}, targetoptions=targetoptions, caches=(_Cache, _NestedCache) if cached else None)
 
     return decorate if function is None else decorate(function)
 

@@ -8,6 +8,7 @@ of the time that compiling took.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 import llvmlite.binding as llvm
 from numba import types
@@ -70,13 +71,30 @@ def _widened(kind: types.Type) -> types.Type:
 class Kernel(CPUDispatcher):
     """A dispatcher that compiles apart what other kernels call.
 
-    nested_cache: where that is kept; None for nowhere.
+    caches: makes where its code, and that for other kernels, is kept; None for nowhere.  They are made when something is first compiled: a process
+    imports far more kernels than it uses, and hundreds of caches take as long as a small picture.
     """
 
-    def __init__(self, *args, **options):
+    def __init__(self, *args, caches: tuple[Callable, Callable] | None = None, **options):
+        self._caches, self._kept = caches, None
         super().__init__(*args, **options)
         self._nested: dict[tuple, compiler.CompileResult] = {}  # by the types of the arguments
-        self.nested_cache: NestedCache | None = None
+
+    @property
+    def _cache(self):
+        """Where Numba keeps code."""
+        if self._kept is None:
+            self._kept = self._caches[0](self.py_func) if self._caches else caching.NullCache()
+        return self._kept
+
+    @_cache.setter
+    def _cache(self, _nothing: caching.NullCache):
+        """What Numba sets at first."""
+
+    @functools.cached_property
+    def nested_cache(self) -> NestedCache | None:
+        """Where code for other kernels is kept."""
+        return self._caches[1](self.py_func) if self._caches else None
 
     def compile(self, sig):
         """As Numba's: for Python."""
