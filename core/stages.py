@@ -144,7 +144,7 @@ def prepared(run: Run, scene: Scene, settings: RenderSettings, threads: int, top
             run.foreseen = savings(scene, emitters, settings.direct_samples)
             run.warnings += [*scene.warnings, *warnings]
             run.black = coincident(scene)
-            materials = with_brushed(with_viewer(scene), scene.geometry)
+            materials = with_brushed(with_viewer(scene, directly=False), scene.geometry)
             tables = without_reflection(transport(scene.geometry, materials, rays.tables, emitters), run.black)
         if settings.method == "visibility-gates":
             with run.stage("topology"):

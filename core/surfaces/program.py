@@ -262,13 +262,13 @@ def evaluate_range(tables, materials, attributes, triangle, u, v, cosine, begin,
                 surfaces[i, k] = surface[k]
 
 
-def with_viewer(scene: Scene) -> MaterialTables:
-    """The scene's material tables; where a program asks for the size of a pixel, they know where its viewer is."""
+def with_viewer(scene: Scene, *, directly: bool) -> MaterialTables:
+    """The scene's material tables; where a program asks for the size of a pixel, they know where its viewer is, and whether it sees them `directly`."""
     tables = scene.materials.tables
     if not (tables.code[:, 0] == FOOTPRINT).any():
         return tables
     constants = tables.constants.copy()
-    constants[0] = footprint.viewer_row(scene)
+    constants[0] = footprint.viewer_row(scene, directly=directly)
     return tables._replace(constants=constants)
 
 

@@ -487,7 +487,7 @@ def view(
     )
     places = geometry.covered
     seen = world if scene.world.seen is None else world_tables(replace(scene.world, radiance=scene.world.seen))
-    tables = (rays, camera, with_mirrors(with_viewer(scene), g), geometry, visible_lamps(scene, groups), Worlds(world, seen))
+    tables = (rays, camera, with_mirrors(with_viewer(scene, directly=True), g), geometry, visible_lamps(scene, groups), Worlds(world, seen))
     n_lamps = len(tables[4].kind)
     rays, camera, materials, geometry, lamps, world = (Reference(table) for table in tables)
     offsets = film.offsets()

@@ -1,6 +1,7 @@
 """Bumps: steps and slopes against vectors, the bumped normal against Cycles' formula, shadowing against sampled light, pixels' sizes."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,8 +12,10 @@ from lumigate.core.jit import kernel
 from lumigate.core.lamps import direct_light
 from lumigate.core.methods.tails import tail_light
 from lumigate.core.particles import trace_particles
+from lumigate.core.stages import Run, prepared
 from lumigate.core.surfaces import bumps, footprint, layout
 from lumigate.core.surfaces import program as ops
+from lumigate.headless.stress import rooms
 
 from .test_glossy import Set, lamp, points_at
 
@@ -153,18 +156,37 @@ def _camera(orthographic):
     return sc.Camera(matrix, orthographic, (-0.5, 0.5, -0.25, 0.25), 100, 50, (0, 0, 100, 50), 0.1, 100)
 
 
-def test_a_pixel_is_as_large_as_the_camera_sees_it():
+@pytest.mark.parametrize("directly", [False, True])
+def test_a_pixel_is_as_large_as_the_camera_sees_it(directly):
     at = np.array((101, 2, -1), F)  # 4 m in front of the camera
-    assert _pixel(footprint.viewer_row(_scene(_camera(False))), at) == pytest.approx(0.04)
-    assert _pixel(footprint.viewer_row(_scene(_camera(True))), at) == pytest.approx(0.01)
-    assert _pixel(footprint.viewer_row(_scene(None)), at) == pytest.approx(5e-4)  # a ten-thousandth of the scene
+    size = (_pixel(footprint.viewer_row(_scene(camera), directly=directly), at) for camera in (_camera(False), _camera(True), None))
+    # Parallel rays do not spread; without a camera it is a ten-thousandth of the scene.
+    assert list(size) == pytest.approx([0.04 if directly else 0.08, 0.01, 5e-4])
     assert _pixel(np.zeros(4, F), at) > 0
+
+
+def test_light_comes_to_a_room_s_points_by_paths_twice_as_long_as_straight_lines():
+    camera, by_way, at = np.random.default_rng(3).random((3, 100_000, 3)) * (4, 6, 3)
+    straight, path = (np.linalg.norm(a - b, axis=1).mean() for a, b in ((camera, at), (camera, by_way)))
+    path += np.linalg.norm(by_way - at, axis=1).mean()
+    rows = [footprint.viewer_row(_scene(_camera(False)), directly=directly) for directly in (True, False)]
+    assert rows[1][3] / rows[0][3] == pytest.approx(path / straight, rel=0.01)
+
+
+def test_what_light_meets_that_is_reflected_on_has_larger_pixels_than_what_is_seen():
+    scene = rooms.room(size=(4, 3))
+    stuff = scene.materials.tables
+    code = np.concatenate([stuff.code, np.array([[ops.FOOTPRINT, *[0] * 7], [ops.END, *[0] * 7]], np.int32)])
+    scene = replace(scene, materials=replace(scene.materials, tables=stuff._replace(code=code)))
+    with prepared(Run(None), scene, rooms.SETTINGS, 1) as tables:
+        met = tables.materials.constants[0]
+    np.testing.assert_allclose(met, ops.with_viewer(scene, directly=True).constants[0] * (1, 1, 1, 2), rtol=1e-6)
 
 
 def test_tables_know_the_viewer_only_where_a_program_asks():
     plain = ops.empty_tables()._replace(constants=np.ones((2, 4), F))
-    assert ops.with_viewer(_scene(_camera(False), plain)) is plain
+    assert ops.with_viewer(_scene(_camera(False), plain), directly=True) is plain
     code = np.array([[ops.FOOTPRINT, *[0] * 7], [ops.END, *[0] * 7]], np.int32)
-    asking = ops.with_viewer(_scene(_camera(False), plain._replace(code=code)))
+    asking = ops.with_viewer(_scene(_camera(False), plain._replace(code=code)), directly=True)
     np.testing.assert_allclose(asking.constants, [(101, 2, 3, 0.01), (1, 1, 1, 1)])
     assert (plain.constants == 1).all()
