@@ -30,6 +30,8 @@ _LIBRARY_NAMES = ("libOpenImageDenoise.so.2", "libOpenImageDenoise.so", "libOpen
 _MEAN_FACTOR = 1.5
 # Times the mean of the square of so many pixels to each side, and of the picture: what is so bright is held against the pixels next to it.
 FAR_BRIGHTER, AROUND = np.float32(4.0), 7
+# Times a pixel's: what is so bright right beside it is another thing, of which a network smears some over the pixel.
+BESIDE = np.float32(12.0)
 FAINT = 1e-4  # mean radiance, below which a picture is brightened first
 ROWS, PLACES = 32, 1024  # of a picture a chunk
 # Every picture is mirrored beyond its borders: at a bare corner the network is off by up to 80 %.  8 pixels leave
@@ -171,6 +173,39 @@ def _brightest(before, y, x, c):
     return most
 
 
+def _without_smears(before: np.ndarray, after: np.ndarray, threads: int = 0) -> np.ndarray:
+    """`after` (H, W, 3), but right beside what is `BESIDE` times as bright no brighter than the pixel and its dark neighbours were in `before`.
+
+    A network draws the outline of a lampshade or of a lamp's fixture a little too wide, by hundredths of what it shows: many times the light
+    of the wall behind.  What is bright in `before` alone is noise, beside which all stays as it is.
+    """
+    clean = after.copy()
+    run_chunks(lambda begin, end: _bound_smears(before, after, begin, end, clean), len(after), ROWS, threads)
+    return clean
+
+
+@kernel
+def _bound_smears(before, after, begin, end, clean):
+    """Bounds the rows begin..end-1 of `clean`, a copy of `after`."""
+    height, width = after.shape[:2]
+    for y in range(begin, end):
+        for x in range(width):
+            top, bottom, left, right = max(y - 1, 0), min(y + 2, height), max(x - 1, 0), min(x + 2, width)
+            for c in range(3):
+                bright = np.float32(0)
+                for row in range(top, bottom):
+                    for column in range(left, right):
+                        bright = max(bright, min(before[row, column, c], after[row, column, c]))
+                if not bright > BESIDE * after[y, x, c]:
+                    continue
+                most = before[y, x, c]
+                for row in range(top, bottom):
+                    for column in range(left, right):
+                        if BESIDE * before[row, column, c] < bright:
+                            most = max(most, before[row, column, c])
+                clean[y, x, c] = min(clean[y, x, c], most)
+
+
 def _with_highlights(before: np.ndarray, after: np.ndarray, threads: int = 0) -> np.ndarray:
     """`after` (H, W, 3), in which what is far brighter than its surroundings has the light back that it had in `before`.
 
@@ -289,7 +324,7 @@ class Denoiser:
             position: (H, W, 3) m, read only by the blur that stands in.
             clean_aux: the guides have no noise (see `prefilter`); edges in them are then kept sharp.
             preserve_mean: scale each channel so that its mean is the input's (by 1/1.5 to 1.5 at most).
-            highlights: what stays far brighter than its surroundings is no noise, and keeps its light.
+            highlights: what stays far brighter than its surroundings is no noise: it keeps its light, and none is smeared over what is beside it.
             quality: for this picture, None for the denoiser's own.  Of clean guides 'high' makes a larger network, at twice the time.
             threads: 0 is all.
 
@@ -323,7 +358,7 @@ class Denoiser:
                 color, self._execute(images, threads, hdr=True, clean_aux=clean_aux and bool(guides), quality=quality), threads
             )
             if highlights:
-                clean = _with_highlights(color, clean, threads)
+                clean = _with_highlights(color, _without_smears(color, clean, threads), threads)
         if not preserve_mean:
             return clean
         return clean * mean_factor(color, clean, threads)

@@ -166,6 +166,54 @@ def test_a_small_highlight_keeps_its_light(denoiser):
     assert kept.max() <= noisy.max() * 1.01
 
 
+def disc(height=60, width=80):
+    """How much of each pixel a disc covers, by 16 samples: (H, W, 1) float32."""
+    y, x = np.mgrid[: 4 * height, : 4 * width] / 4
+    inside = (y - 31.3) ** 2 + (x - 40.2) ** 2 < 9.7**2
+    return inside.reshape(height, 4, width, 4).mean(axis=(1, 3), dtype=np.float32)[..., None]
+
+
+def test_what_is_beside_a_bright_thing_stays_dark(denoiser):
+    """A network draws a lampshade's outline too wide."""
+    covered = disc()
+    light = 20 * covered + np.float32(0.01) * (1 - covered) * np.ones(3, np.float32)
+    noisy = light * np.random.default_rng(5).uniform(0.7, 1.3, light.shape).astype(np.float32)
+    albedo = np.full_like(light, 0.8)
+    smeared, clean = (denoiser.denoise(noisy, albedo, preserve_mean=True, highlights=shown) for shown in (False, True))
+    wall = covered[..., 0] == 0
+    assert smeared[wall].max() > 0.3  # 30 times as bright as it is
+    assert clean[wall].mean() - 0.01 < (smeared[wall].mean() - 0.01) / 3  # measured: 1/3.7
+    assert error(clean, light) < error(smeared, light) / 8  # measured: 1/13
+
+
+def without_smears_slowly(before, after):
+    """The oracle of `_without_smears`, one channel."""
+    clean = after.copy()
+    for (y, x), value in np.ndenumerate(after):
+        near = np.s_[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
+        bright = np.minimum(before[near], after[near]).max()
+        if bright > dn.BESIDE * value:
+            dark = before[near][dn.BESIDE * before[near] < bright]
+            clean[y, x] = min(value, max([before[y, x], *dark]))
+    return clean
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_what_is_smeared_equals_its_oracle(threads):
+    rng = np.random.default_rng(6)
+    before, after = rng.lognormal(0, 2, (2, 40, 50, 3)).astype(np.float32)
+    slow = np.dstack([without_smears_slowly(before[..., c], after[..., c]) for c in range(3)])
+    assert (slow != after).sum() > 100
+    np.testing.assert_array_equal(dn._without_smears(before, after, threads), slow)
+
+
+def test_noise_that_a_network_has_smoothed_smears_nothing():
+    sparse = np.zeros((40, 50, 3), np.float32)
+    sparse[::7, ::7] = 5
+    smooth = np.full_like(sparse, sparse.mean())
+    np.testing.assert_array_equal(dn._without_smears(sparse, smooth), smooth)
+
+
 def give_highlights_back_slowly(before, after):
     """The oracle of `_with_highlights`, one channel."""
     usual = dn.FAR_BRIGHTER * np.maximum(before.mean(), box_mean(np.pad(before, dn.AROUND, "symmetric"), 2 * dn.AROUND + 1))
