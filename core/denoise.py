@@ -121,6 +121,56 @@ def mean_factor(before: np.ndarray, after: np.ndarray, threads: int = 0) -> np.n
     return np.clip(factor, 1 / _MEAN_FACTOR, _MEAN_FACTOR).astype(np.float32)
 
 
+def _with_both_means(before: np.ndarray, after: np.ndarray, threads: int = 0) -> np.ndarray:
+    """`after` (H, W, 3) with the means of `before`: those of what is far brighter than the picture, and of the rest, apart.
+
+    A network is off by some percent in what is very bright.  A lampshade may have most of a picture's light: one factor for all would take those
+    percent from the table below it.  From the one factor to the other it goes smoothly.
+    """
+    bright = FAR_BRIGHTER * channel_means(before, threads).astype(np.float32)
+    rows = np.zeros((len(after), 3, 5))
+    run_chunks(lambda begin, end: _sum_parts(before, after, bright, begin, end, rows), len(after), ROWS, threads)
+    factors = np.ones((3, 2), np.float32)
+    for factor, (dim, both, far, *wanted) in zip(factors, rows.sum(axis=0), strict=True):
+        factor[:] = np.clip(np.linalg.lstsq([[dim, both], [both, far]], wanted, rcond=None)[0], 1 / _MEAN_FACTOR, _MEAN_FACTOR)
+    scaled = np.empty_like(after)
+    run_chunks(lambda begin, end: _scale_parts(after, bright, factors, begin, end, scaled), len(after), ROWS, threads)
+    return scaled
+
+
+@leaf
+def _far_share(image, bright, y, x, c):
+    """How much a pixel belongs to what is far brighter, or to its outline: 0 where none next to it has more than `bright`, 1 where one has `FAR_BRIGHTER` times that."""
+    value = _brightest(image, y, x, c)
+    if not value > bright:
+        return np.float32(0)
+    return min((value - bright) / ((FAR_BRIGHTER - np.float32(1)) * bright), np.float32(1))
+
+
+@kernel
+def _sum_parts(before, after, bright, begin, end, rows):
+    """What the factors of both parts do to their sums, and what these are in `before`: rows (H, 3, 5)."""
+    for y in range(begin, end):
+        for x in range(after.shape[1]):
+            for c in range(3):
+                far = _far_share(after, bright[c], y, x, c)
+                dim = np.float32(1) - far
+                rows[y, c, 0] += dim * dim * after[y, x, c]
+                rows[y, c, 1] += dim * far * after[y, x, c]
+                rows[y, c, 2] += far * far * after[y, x, c]
+                rows[y, c, 3] += dim * before[y, x, c]
+                rows[y, c, 4] += far * before[y, x, c]
+
+
+@kernel
+def _scale_parts(after, bright, factors, begin, end, scaled):
+    for y in range(begin, end):
+        for x in range(after.shape[1]):
+            for c in range(3):
+                far = _far_share(after, bright[c], y, x, c)
+                scaled[y, x, c] = after[y, x, c] * (factors[c, 0] + far * (factors[c, 1] - factors[c, 0]))
+
+
 def _without_overshoot(before: np.ndarray, after: np.ndarray, threads: int = 0) -> np.ndarray:
     """`after` (H, W, 3), but where it is far brighter than `before` is around there, no brighter than any pixel next to it in `before`.
 
@@ -323,7 +373,8 @@ class Denoiser:
             albedo: (H, W, 3) in 0..1;  normal: (H, W, 3), of any length up to 1, zero where nothing is seen.
             position: (H, W, 3) m, read only by the blur that stands in.
             clean_aux: the guides have no noise (see `prefilter`); edges in them are then kept sharp.
-            preserve_mean: scale each channel so that its mean is the input's (by 1/1.5 to 1.5 at most).
+            preserve_mean: scale each channel so that its mean is the input's (by 1/1.5 to 1.5 at most); of what is far brighter than the picture
+                apart, where `highlights` are no noise.
             highlights: what stays far brighter than its surroundings is no noise: it keeps its light, and none is smeared over what is beside it.
             quality: for this picture, None for the denoiser's own.  Of clean guides 'high' makes a larger network, at twice the time.
             threads: 0 is all.
@@ -361,6 +412,8 @@ class Denoiser:
                 clean = _with_highlights(color, _without_smears(color, clean, threads), threads)
         if not preserve_mean:
             return clean
+        if highlights:
+            return _with_both_means(color, clean, threads)
         return clean * mean_factor(color, clean, threads)
 
     def prefilter(self, kind: str, guide: np.ndarray, *, quality: str | None = None, threads: int = 0) -> np.ndarray:

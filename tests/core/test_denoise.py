@@ -186,6 +186,29 @@ def test_what_is_beside_a_bright_thing_stays_dark(denoiser):
     assert error(clean, light) < error(smeared, light) / 8  # measured: 1/13
 
 
+def test_what_is_beside_a_bright_thing_keeps_its_mean(denoiser):
+    """The shade has nine tenths of the light: what a network adds to that, one factor for all would take from the wall."""
+    covered = disc()
+    wall = np.linspace(0.1, 0.2, covered.shape[1], dtype=np.float32)[None, :, None]
+    light = (20 * covered + wall * (1 - covered)) * np.ones(3, np.float32)
+    albedo = np.full_like(light, 0.8)
+    clean = denoiser.denoise(light, albedo, preserve_mean=True, highlights=True)
+    far = np.s_[:, :20]
+    assert clean[far].mean() == pytest.approx(light[far].mean(), rel=0.01)
+    assert clean.mean() == pytest.approx(light.mean(), rel=1e-3)
+
+
+def test_both_parts_of_a_picture_keep_their_means():
+    rng = np.random.default_rng(8)
+    after = rng.uniform(0.5, 1.5, (40, 50, 3)).astype(np.float32)
+    after[10:14, 20:25] *= 100
+    before = np.float32(1.2) * after
+    before[9:15, 19:26] = after[9:15, 19:26] / np.float32(1.1)  # with its outline
+    np.testing.assert_allclose(dn._with_both_means(before, after, 2), before, rtol=1e-4)
+    dim = after[20:]  # and where nothing is far brighter
+    np.testing.assert_allclose(dn._with_both_means(np.float32(0.9) * dim, dim), np.float32(0.9) * dim, rtol=1e-4)
+
+
 def without_smears_slowly(before, after):
     """The oracle of `_without_smears`, one channel."""
     clean = after.copy()
