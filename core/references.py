@@ -13,17 +13,8 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AttributeTemplate
-from numba.extending import (
-    NativeValue,
-    infer_getattr,
-    intrinsic,
-    lower_getattr_generic,
-    models,
-    register_model,
-    unbox,
-)
-
-from .jit import kernel
+from numba.extending import NativeValue, infer_getattr, lower_getattr_generic, models, register_model, unbox
+from numba.np import numpy_support
 
 
 class ReferenceType(types.Type):
@@ -97,34 +88,6 @@ def _unbox(reference, thing, c):
     return NativeValue(address, is_error=c.pyapi.c_api_error())
 
 
-@intrinsic
-def _size_of(typing_context, value):
-    def generate(context, builder, signature, arguments):
-        return context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(value)))
-
-    return types.intp(value), generate
-
-
-@intrinsic
-def _put(typing_context, value, address):
-    def generate(context, builder, signature, arguments):
-        place = builder.inttoptr(arguments[1], context.get_data_type(value).as_pointer())
-        builder.store(context.data_model_manager[value].as_data(builder, arguments[0]), place)
-        return context.get_dummy_value()
-
-    return types.none(value, types.uintp), generate
-
-
-@kernel
-def _bytes(value):
-    return _size_of(value)
-
-
-@kernel
-def _write(value, address):
-    _put(value, np.uintp(address))
-
-
 _TYPES: dict = {}  # by `_kind` of the tuples: Numba takes .1 ms to tell the type of a large one
 
 
@@ -140,12 +103,35 @@ def _kind(value):
     return getattr(value, "_numba_type_", type(value))
 
 
-def _type_of(value) -> ReferenceType:
+def _type_of(value) -> tuple[ReferenceType, np.dtype]:
+    """The type, and how the tuple lies in memory."""
     kind = _kind(value)
     found = _TYPES.get(kind)
     if found is None:
-        found = _TYPES[kind] = ReferenceType(numba.typeof(value))
+        reference = ReferenceType(numba.typeof(value))
+        found = _TYPES[kind] = reference, _layout(reference.value)
     return found
+
+
+def _layout(kind: types.Type) -> np.dtype:
+    """How Numba's data models have a value in memory: what a kernel would write, which takes a second to compile for each type of tuple."""
+    if isinstance(kind, types.BaseTuple):
+        return np.dtype([(f"f{k}", _layout(part)) for k, part in enumerate(kind)], align=True)
+    if isinstance(kind, types.Array):
+        numbers = [(name, np.intp) for name in ("meminfo", "parent", "nitems", "itemsize", "data")]
+        return np.dtype([*numbers, *((name, np.intp, (kind.ndim,)) for name in ("shape", "strides"))], align=True)
+    if isinstance(kind, types.NoneType):
+        return np.dtype(np.intp)
+    return numpy_support.as_dtype(kind)
+
+
+def _record(value):
+    """The value as NumPy takes it for its `_layout`."""
+    if isinstance(value, np.ndarray):
+        return 0, 0, value.size, value.itemsize, value.__array_interface__["data"][0], value.shape, value.strides
+    if isinstance(value, tuple):
+        return tuple(map(_record, value))
+    return 0 if value is None else value
 
 
 class Reference:
@@ -155,14 +141,15 @@ class Reference:
     tuple itself lives as long as its reference.
     """
 
-    __slots__ = ("_memory", "_numba_type_", "address", "value")
+    __slots__ = ("_layout", "_memory", "_numba_type_", "address", "value")
 
     def __init__(self, value) -> None:
         self.value = value
-        self._numba_type_ = _type_of(value)
-        self._memory = np.zeros(_bytes(value) + 64, np.uint8)
-        self.address = self._memory.ctypes.data + -self._memory.ctypes.data % 64
-        _write(value, self.address)
+        self._numba_type_, self._layout = _type_of(value)
+        self._memory = np.zeros(self._layout.itemsize + 64, np.uint8)
+        begin = -self._memory.ctypes.data % 64
+        self.address = self._memory.ctypes.data + begin
+        self._memory[begin : begin + self._layout.itemsize].view(self._layout)[0] = _record(value)
 
     def __getattr__(self, name: str):
         return getattr(self.value, name)

@@ -19,7 +19,7 @@ import platformdirs
 from numba.core import caching, event, sigutils
 from numba.core.ccallback import CFunc
 
-from .nested import Kernel, NestedCache
+from .nested import EntryImpl, Kernel, NestedCache
 
 # Keeps NaN and infinity (no 'nnan', 'ninf'); without 'reassoc' sums do not vectorise.
 FAST_MATH = {"reassoc", "contract", "nsz"}
@@ -93,6 +93,8 @@ class _CacheLocator(caching.UserProvidedCacheLocator):
 
 class _Cache(caching.FunctionCache):
     """A cache that never stops a render: what cannot be read is compiled anew, what cannot be written is not kept."""
+
+    _impl_class = EntryImpl
 
     def _load_overload(self, sig, target_context):
         try:

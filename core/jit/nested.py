@@ -33,6 +33,47 @@ class _Bitcode(JITCodeLibrary):
         self._finalized = True
 
 
+def _result(target_context, library: JITCodeLibrary, fndesc, environment, signature, environments, **rest) -> compiler.CompileResult:
+    """What a compilation has led to, but for what only those who look at it need."""
+    given = {"entry_point": None, "reload_init": ()} | rest
+    return compiler.CompileResult(
+        typing_context=target_context.typing_context, target_context=target_context, typing_error=None, type_annotation="", signature=signature,
+        objectmode=False, lifted=(), fndesc=fndesc, library=library, call_helper=None, environment=environment, metadata=None,
+        referenced_envs=environments, **given,
+    )  # fmt: skip
+
+
+class EntryImpl(caching.CompileResultCacheImpl):
+    """How a kernel that Python calls is kept in a file: its machine code and the names of its symbols.
+
+    Numba keeps its bitcode, too, for other kernels to take in, which here have their own; to read it took as long as all else of a small picture's
+    start.
+    """
+
+    def reduce(self, cres):
+        cres.fndesc.typemap = cres.fndesc.calltypes = None  # as `CompileResult._reduce` has it
+        library, module = cres.library, cres.library._final_module
+        symbols = [thing.name for things in (module.functions, module.global_variables) for thing in things if not thing.is_declaration]
+        code = library.name, library._get_compiled_object(), tuple(symbols)
+        environments = tuple(cres._find_referenced_environments())
+        return code, cres.fndesc, cres.environment, cres.signature, tuple(cres.reload_init), environments
+
+    def rebuild(self, target_context, payload):
+        (name, code, symbols), fndesc, environment, signature, reload_init, environments = payload
+        for prepare in reload_init:
+            prepare()
+        codegen = target_context.codegen()
+        library = codegen.create_library(name)
+        library.enable_object_caching()
+        library._set_compiled_object(code)
+        library._finalize_final_module()
+        codegen._engine._defined_symbols.update(symbols)
+        entry = target_context.get_executable(library, fndesc, environment)
+        for other in environments:
+            codegen.set_env(other.env_name, other)
+        return _result(target_context, library, fndesc, environment, signature, environments, entry_point=entry, reload_init=reload_init)
+
+
 class _BitcodeImpl(caching.CompileResultCacheImpl):
     """How the result of a nested compilation is kept in a file."""
 
@@ -45,15 +86,11 @@ class _BitcodeImpl(caching.CompileResultCacheImpl):
         return cres.library.name, cres.library._final_module.as_bitcode(), cres.fndesc, cres.environment, cres.signature, environments
 
     def rebuild(self, target_context, payload):
-        name, bitcode, fndesc, environment, signature, environments = payload
+        name, bitcode, *rest = payload
         library = _Bitcode(target_context.codegen(), name)
         library._final_module = llvm.parse_bitcode(bitcode)
         library._finalize_final_module()
-        return compiler.CompileResult(
-            typing_context=target_context.typing_context, target_context=target_context, entry_point=None, typing_error=None,
-            type_annotation="", signature=signature, objectmode=False, lifted=(), fndesc=fndesc, library=library, call_helper=None,
-            environment=environment, metadata=None, reload_init=(), referenced_envs=environments,
-        )  # fmt: skip
+        return _result(target_context, library, *rest)
 
 
 class NestedCache(caching.FunctionCache):
