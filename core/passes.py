@@ -39,7 +39,8 @@ BY_NOISE, NOISE_SLOPE = 0.046, 0.65
 class Passes:
     """The passes of one picture, dealt to three groups; threads: of the denoiser.
 
-    estimate: the last result of `error`.  as_it_is: whether that is the error of the picture without denoising.
+    estimate: the last result of `error`.  as_it_is: whether that is the error of the picture without denoising.  clean: the picture with its
+    indirect light denoised, at the quality "fast", if that had to be known.
     """
 
     threads: int
@@ -47,9 +48,11 @@ class Passes:
     count: int = 0
     estimate: float | None = None
     as_it_is: bool = False
+    clean: Picture | None = None
 
     def add(self, picture: Picture) -> None:
         """Deal one more pass to the next group."""
+        self.clean = None
         k = self.count % GROUPS
         self.groups[k] = picture if self.groups[k] is None else self.groups[k].blend(picture)
         self.count += 1
@@ -92,9 +95,19 @@ class Passes:
         squares = (clean[0] - raw[1]) ** 2 + (clean[1] - raw[0]) ** 2 - (raw[0] - raw[1]) ** 2
         return max(0.0, 0.5 * _relative(squares, scale)) * (UNSEEN if denoiser else 1)
 
+    def error_of_two(self, one: float, enough: float) -> float:
+        """As `error` of the mean of two passes, of each of which the denoised light has the error `one`."""
+        scale, limit = _scales(self.picture.indirect.astype(np.float64))
+        a, b = (np.minimum(group.indirect, limit) for group in self.groups[:2])
+        raw, clean = _relative((a - b) ** 2, scale) / 4, one * share_of_error(1 / 2, True)
+        self.as_it_is = raw <= max(enough, clean)
+        self.estimate = raw if self.as_it_is else clean
+        return self.estimate
+
     def error_by_noise(self, denoiser: Denoiser) -> float:
         """About the relMSE of the denoised indirect light of a single pass of a middling picture, by how much the denoiser has changed."""
-        clean = self._clean(self.picture, denoiser, "fast")
+        self.clean = self._denoised(self.picture, denoiser, "fast")
+        clean = self.clean.indirect.astype(np.float64)
         scale, limit = _scales(clean)
         noise = _relative((np.minimum(self.picture.indirect, limit) - clean) ** 2, scale)
         return BY_NOISE * noise**NOISE_SLOPE
@@ -117,8 +130,11 @@ class Passes:
 
     def _clean(self, picture: Picture, denoiser: Denoiser | None, quality: str = "balanced") -> np.ndarray:
         """Its indirect light (H, W, 3), denoised if there is a denoiser, in double precision."""
-        clean = replace(picture, points=()).denoised(denoiser, self.threads, direct=False, quality=quality) if denoiser else picture
+        clean = self._denoised(picture, denoiser, quality) if denoiser else picture
         return clean.indirect.astype(np.float64)
+
+    def _denoised(self, picture: Picture, denoiser: Denoiser, quality: str) -> Picture:
+        return replace(picture, points=()).denoised(denoiser, self.threads, direct=False, quality=quality)
 
 
 def _scales(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -172,11 +172,13 @@ class Picture:
             return np.where(self.albedo > 0, np.float32(np.pi) * self.diffuse_indirect / self.albedo, np.float32(0))
 
     def denoised(
-        self, denoiser: Denoiser, threads: int, *, direct: bool = True, indirect: bool = True, quality: str | None = None, few: bool = False
-    ) -> Picture:
+        self, denoiser: Denoiser, threads: int, *, direct: bool = True, indirect: bool = True, quality: str | None = None, few: bool = False,
+        clean: Picture | None = None,
+    ) -> Picture:  # fmt: skip
         """Without noise.  The guides have next to none themselves, and what they show stays as sharp as it is.
 
-        direct, indirect: which light.  quality: as `Denoiser.denoise` has it.  few: as `subpixel.give_back` has it.
+        direct, indirect: which light.  quality: as `Denoiser.denoise` has it.  few: as `subpixel.give_back` has it.  clean: the same picture
+        without `points`, its indirect light denoised already.
         """
 
         own = self.guide_normal if self.own_normal is None else self.own_normal
@@ -195,14 +197,18 @@ class Picture:
             if noisy.any():
                 found["diffuse_indirect"] = self.smooth + cleaned(noisy, self.albedo, clean_aux=True)
         elif indirect and self.diffuse_indirect.any():
-            clean = self._diffuse_cleaned(denoiser, cleaned, threads)
+            light = clean.diffuse_indirect if clean else self._diffuse_cleaned(denoiser, cleaned, threads)
             if self.points:
-                clean = give_back(clean, self.foreseen, self.points, threads, few=few)
-                clean *= mean_factor(self.diffuse_indirect, clean, threads)
-            found["diffuse_indirect"] = clean
-        if indirect and self.glossy_indirect.any():
-            guide, clean = self._mirrored_guide(denoiser, threads, quality)
-            found["glossy_indirect"] = cleaned(self.glossy_indirect, self._glossy_guide(guide), clean_aux=clean, normal=self.guide_normal)
+                light = give_back(light, self.foreseen, self.points, threads, few=few)
+                light *= mean_factor(self.diffuse_indirect, light, threads)
+            found["diffuse_indirect"] = light
+        if indirect and clean:
+            found["glossy_indirect"] = clean.glossy_indirect
+        elif indirect and self.glossy_indirect.any():
+            guide, is_clean = self._mirrored_guide(denoiser, threads, quality)
+            found["glossy_indirect"] = cleaned(
+                self.glossy_indirect, self._glossy_guide(guide), clean_aux=is_clean, normal=self.guide_normal
+            )
         if direct and self.direct.any():
             found["direct"] = self._direct_cleaned(cleaned, QUICKER.get(quality, quality))
         return replace(self, **found)

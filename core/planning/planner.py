@@ -1,8 +1,9 @@
 """Method and numbers of one render, by what is asked for: a time, an error, or neither.
 
 A budget is spent on few large passes, of which the first tells what the others cost.  A target is reached by one pass, where it is so coarse that
-the fewest samples do, or a pilot foresees its error, or else in rounds of three, whose own estimate (`core.passes`) tells how many more samples are
-missing; nothing there depends on the clock, so that the same seed gives the same picture.  A pilot is the same scene in a picture so small that it
+the fewest samples do, or a pilot foresees its error.  Small pictures, which are no larger than a pilot would be, begin with two passes that tell it
+and count.  What needs more than one large pass is made in rounds of three, whose own estimate (`core.passes`) tells how many more samples are
+missing.  Nothing there depends on the clock, so that the same seed gives the same picture.  A pilot is the same scene in a picture so small that it
 costs little.
 """
 
@@ -230,30 +231,43 @@ class Planner:
         if self.coarse:
             self.reasons.append("the target is coarse: the fewest samples usually have a smaller error")
             return LEAST
-        if not (self.pilot and self.pilot["error"] > 0):
-            self.reasons.append("the picture is small: three passes with the fewest samples tell its error")
+        if not self._flown:
+            passes = "two passes" if settings.denoise else "three passes"
+            self.reasons.append(f"the picture is small: {passes} with the fewest samples tell its error")
             return LEAST
-        return self._first_of_target(settings.target_error)
+        found = self.pilot["error"]
+        error = found * (self._by_size(math.prod(self.pilot["size"])) if settings.denoise else 1.0)
+        return self._by_one(HIDDEN * error, 0.0, f"the pilot's relMSE is {found:.2g}")
 
-    def _first_of_target(self, target: float) -> float:
-        """By the error that the pilot found, in fewer pixels."""
-        found, least = self.pilot["error"], self.pilot["quality"]
+    @property
+    def _flown(self) -> bool:
+        """Whether a pilot tells the error."""
+        return bool(self.pilot and self.pilot["error"] > 0)
+
+    def _by_one(self, one: float, made: float, known: str) -> float:
+        """Quality of the next pass, by the relMSE of one with the fewest samples.
+
+        made: the quality of all passes so far.  known: by what it is known, for `reasons`.
+        """
+        target = self.settings.target_error
         slope = ALONE_SLOPE if self.settings.denoise else SLOPE
-        one = HIDDEN * found * (self._by_size(math.prod(self.pilot["size"])) if self.settings.denoise else 1.0)
         three = one * share_of_error(1 / GROUPS, self.settings.denoise)
 
         def wanted(error: float) -> float:
-            return least * (error / target) ** (1 / slope)
+            return LEAST * (error / target) ** (1 / slope)
 
-        quality = self._bounded(wanted(one), up=True)
-        self.foreseen = one * (quality / least) ** -slope
+        passes = "one pass" if not made else "one more pass"
+        quality = self._bounded(wanted(one) - made, up=True)
+        self.foreseen = one * ((made + quality) / LEAST) ** -slope
         if quality <= ALONE and self.foreseen <= target * (1 + 1e-6):
-            self.reasons.append(f"the pilot's relMSE is {found:.2g}: one pass of quality {quality:.3g} should have {self.foreseen:.2g}")
-            self._say_when_better(self.foreseen, quality)
+            self.reasons.append(f"{known}: {passes} of quality {quality:.3g} should have {self.foreseen:.2g}")
+            self._say_when_better(self.foreseen, made + quality)
             return quality
         self.foreseen = None
-        quality = self._bounded(wanted(three), up=True)  # a second round costs more than a step
-        self.reasons.append(f"the pilot's relMSE is {found:.2g}: three passes of quality {quality:.3g} should have {target:.2g}")
+        quality = self._bounded(wanted(three) - made / GROUPS, up=True)  # a second round costs more than a step
+        self.reasons.append(
+            f"{known}: {passes.replace('one', 'three').replace('pass', 'passes')} of quality {quality:.3g} should have {target:.2g}"
+        )
         return quality
 
     def _first_of_budget(self, left: float) -> float:
@@ -296,15 +310,29 @@ class Planner:
             return None
         if self.coarse and passes.count == 1 and self._met_by_one(passes, denoiser):
             return None
-        if passes.count % GROUPS:
+        begun = AIMING if denoiser and not self._flown else 0
+        if passes.count == begun:
+            return self._after_two(passes, denoiser)
+        if passes.count < begun or (passes.count - begun) % GROUPS:
             return self.passes[-1]["quality"]
         return self._next_round(passes, passes.error(denoiser, min(UNSEEN_NOISE, self.settings.target_error)))
+
+    def _after_two(self, passes: Passes, denoiser: Denoiser) -> float | None:
+        """As `next`, where the first two passes, of the picture itself, tell its error."""
+        target = self.settings.target_error
+        found = passes.error_of_one(denoiser)
+        both = passes.error_of_two(found, min(UNSEEN_NOISE, target))
+        if not both > target:
+            self._say_when_better(both, LEAST)
+            return None
+        passes.as_it_is = False
+        return self._by_one(found, passes.weight, f"two passes tell a relMSE of {found:.2g} each")
 
     def _met_by_one(self, passes: Passes, denoiser: Denoiser | None) -> bool:
         """Whether the only pass has no more noise than is usual for such an error."""
         error = passes.error_by_noise(denoiser) * self._by_size(COARSE_PIXELS)
         if error > NEAR_ENOUGH * self.settings.target_error:
-            self.reasons.append(f"by its noise the picture's relMSE is about {error:.2g}: three passes tell it")
+            self.reasons.append(f"by its noise the picture's relMSE is about {error:.2g}: two passes tell it")
             return False
         passes.estimate = error
         self._say_when_better(error, LEAST)

@@ -75,6 +75,25 @@ def test_more_noise_foretells_a_larger_error():
     assert loud > 1.5 * quiet > 0
 
 
+def test_what_is_denoised_for_the_estimate_is_not_denoised_again():
+    class Counting(Tilted):
+        calls = 0
+
+        def denoise(self, *arguments, **options):
+            """As `Tilted`."""
+            self.calls += 1
+            return super().denoise(*arguments, **options)
+
+    denoiser, passes = Counting(), passes_of(picture(noisy(0.3, 1)))
+    passes.error_by_noise(denoiser)
+    told, denoiser.calls = denoiser.calls, 0
+    again = passes.picture.denoised(denoiser, 1, quality="fast", clean=passes.clean)
+    assert told > 0 == denoiser.calls
+    np.testing.assert_array_equal(again.indirect, passes.picture.denoised(denoiser, 1, quality="fast").indirect)
+    passes.add(picture(noisy(0.3, 2)))
+    assert passes.clean is None
+
+
 def test_what_a_denoiser_would_only_make_worse_is_left_as_it_is():
     quiet, loud = (passes_of(*(picture(noisy(level, k)) for k in range(3))) for level in (0.01, 0.5))
     assert quiet.error(Tilted()) == pytest.approx(0.01**2 / 3, rel=0.2)

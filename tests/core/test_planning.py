@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lumigate.core.passes import GROUPS, Passes
+from lumigate.core.passes import GROUPS, UNSEEN, Passes
 from lumigate.core.picture import Picture
 from lumigate.core.pipeline import render
 from lumigate.core.planning import machine as machine_file
@@ -138,29 +138,53 @@ def test_coarse_targets_need_no_pilot():
         assert Planner(replace(usual, **other).with_defaults(), COARSE_PIXELS, None).pilot_passes() == AIMING
 
 
-@pytest.mark.parametrize("noise, passes_made", [(0.3, 1), (3.0, GROUPS)])
-def test_a_coarse_picture_with_uncommon_noise_is_not_believed(noise, passes_made):
+def test_a_coarse_picture_with_usual_noise_is_believed():
     planner = Planner(RenderSettings(target_error=1.2 * COARSE).with_defaults(), COARSE_PIXELS, None)
-    passes, quality = Passes(1), planner.first(0.0)
-    for k in range(passes_made):
-        assert quality == LEAST
-        passes.add(picture(noisy(noise, k), quality))
-        planner.observe(quality, 1.0)
-        if k < passes_made - 1:
-            quality = planner.next(1.0, passes, Flat())
-    if passes_made == 1:
-        assert planner.next(1.0, passes, Flat()) is None
-        assert 0 < passes.estimate < 1.2 * COARSE
+    passes = Passes(1)
+    assert planner.first(0.0) == LEAST
+    passes.add(picture(noisy(0.3, 0), LEAST))
+    assert planner.next(1.0, passes, Flat()) is None
+    assert 0 < passes.estimate < 1.2 * COARSE
+
+
+@pytest.mark.parametrize(
+    "pixels, target, noise", [(COARSE_PIXELS, 1.2 * COARSE, 1.8), (768, 0.02, 0.1)], ids=["coarse, of uncommon noise", "small"]
+)
+def test_without_a_pilot_two_passes_tell_the_error_and_count(pixels, target, noise):
+    def made(error):
+        denoiser = Flat((3 * error * target / UNSEEN) ** 0.5)
+        planner, passes = Planner(RenderSettings(target_error=target).with_defaults(), pixels, None), Passes(1)
+        quality = planner.first(0.0)
+        while quality is not None and passes.count < 9:
+            passes.add(picture(noisy(noise, passes.count), quality))
+            planner.observe(quality, 1.0)
+            quality = planner.next(1.0, passes, denoiser)
+        return [done["quality"] for done in planner.passes], passes.estimate
+
+    for error in (0.1, 1.2):
+        qualities, estimate = made(error)
+        assert qualities == [LEAST, LEAST]
+        assert estimate == pytest.approx(error * target / 2**0.5, abs=max(0.3, noise) * target)
+    (first, second, third), estimate = made(2.0)
+    assert (first, second) == (LEAST, LEAST)
+    assert LEAST < third < 9 * LEAST
+    assert 0.8 * target < estimate <= target
+    qualities, _ = made(20.0)  # too much for one pass
+    assert qualities[:2] == [LEAST, LEAST] and len(qualities) >= 5 and len(set(qualities[2:5])) == 1
 
 
 class Flat:
-    """A denoiser that finds a picture of one value."""
+    """A denoiser that finds a picture of one value, or one that is tilted: by so much at the left border and as much the other way at the right."""
 
     available = True
 
+    def __init__(self, tilt: float = 0.0) -> None:
+        self.tilt = tilt
+
     def denoise(self, image, *guides, **options):
-        """The mean."""
-        return np.full_like(image, image.mean())
+        """The mean, tilted."""
+        across = np.linspace(-self.tilt, self.tilt, image.shape[1], dtype=np.float32)
+        return np.full_like(image, image.mean()) * (1 + across)[:, None]
 
 
 def test_without_denoising_more_pixels_are_as_noisy_as_few():
@@ -278,7 +302,7 @@ def test_a_render_meets_its_target_the_same_on_any_machine(sphere):
     settings = RenderSettings(vpls=256, target_error=0.003)
     result, again = (render(sphere, replace(settings, threads=threads)) for threads in (1, 2))
     assert result.stats["error_estimate"] <= 0.0035
-    assert result.stats["passes"] % GROUPS == 0
+    assert result.stats["passes"] == AIMING
     np.testing.assert_array_equal(result.layers["Albedo"], again.layers["Albedo"])
     assert again.stats["passes"] == result.stats["passes"]
     exact = np.pi * sum(0.5**k for k in range(1, 5))
