@@ -17,6 +17,7 @@ from .lamps import DirectLight, LightGroups, sharp_emitters, world_tables
 from .layers import Layers
 from .memory import check_memory
 from .methods.glossy import Reflections, has_lobes
+from .methods.sparks import spread_sparks
 from .methods.wide_lobes import sees_alike
 from .passes import Passes, has_few_rays
 from .picture import Picture, nearest_triangles, splat
@@ -187,7 +188,10 @@ def _render(
             weight = passes.weight / share
             quality, few = run.planner.denoising_quality(weight, elapsed(), least), has_few_rays(settings, weight)
             direct = settings.wants("Direct", "Combined")
-            picture = picture.denoised(denoiser, threads, direct=direct, indirect=not passes.as_it_is, quality=quality, few=few)
+            clean = passes.clean if quality == "fast" and not sequence else None
+            picture = picture.denoised(
+                denoiser, threads, direct=direct, indirect=not passes.as_it_is, quality=quality, few=few, clean=clean
+            )
             foreseen = run.planner.denoising_seconds(quality) if run.planner.machine else 0.0
         if run.seconds["denoise"] < TOO_SLOW * foreseen:
             with _calibration(run):  # for the budgets to come
@@ -377,6 +381,7 @@ def _pass(
         if sampler and sampler.lights is not None and settings.denoise:
             with run.stage("indirect"):
                 foreseen = sampler.foreseen(points, seen.shape)
+                indirect = spread_sparks(points, indirect, foreseen, seen.shape)
         if settings.debug_layers and not run.debug:
             run.debug = single_lights(tables, vpls, points, seen.shape, threads)
             if run.clusters is not None:

@@ -1,0 +1,68 @@
+"""Sparks are spread, and nothing else is touched."""
+
+import numpy as np
+import pytest
+
+from lumigate.core.methods.sparks import AROUND, KEPT, MUCH, spread_sparks
+from lumigate.core.view.points import ShadingPoints
+
+SHAPE = 72, 100
+F = np.float32
+
+
+@pytest.fixture
+def points():
+    """Two points in every pixel, of differing albedo."""
+    rng = np.random.default_rng(1)
+    n = 2 * SHAPE[0] * SHAPE[1]
+    points = ShadingPoints.allocate(n)
+    points.pixel[:] = np.arange(n) // 2
+    points.albedo[:] = rng.uniform(0.1, 0.5, (n, 1))
+    return points
+
+
+def lit(n, columns=3):
+    """Noisy light of about 1 and what is foreseen of it."""
+    rng = np.random.default_rng(2)
+    return rng.gamma(2, 0.5, (n, columns)).astype(F), rng.uniform(0.7, 1.3, n).astype(F)
+
+
+def test_noise_is_not_touched(points):
+    light, foreseen = lit(len(points.pixel))
+    assert spread_sparks(points, light, foreseen, SHAPE) is light
+
+
+@pytest.mark.parametrize("columns", [3, 6])
+@pytest.mark.parametrize("strength", [200, 1e5])
+def test_a_spark_is_spread_and_no_light_lost(points, columns, strength):
+    light, foreseen = lit(len(points.pixel), columns)
+    k = 2 * (30 * SHAPE[1] + 40)
+    light[k, :2] = strength, 2 * strength
+    before = light.copy()
+    found = spread_sparks(points, light, foreseen, SHAPE)
+    np.testing.assert_array_equal(light, before)
+    sent = [(points.albedo[:, :1] * x.astype(float)).sum(axis=0) for x in (light, found)]
+    np.testing.assert_allclose(sent[1], sent[0], rtol=1e-5)
+    assert found[k].mean() < 2.5 * KEPT
+    others = np.arange(len(light)) != k
+    raised = (found - light)[others] / foreseen[others, None]
+    assert raised.min() >= 0
+    if strength == 200:  # little is left nearby
+        assert raised.max() < 2 * MUCH
+        far = points.pixel % SHAPE[1] >= 64
+        assert raised[far[others]].max() == 0
+    else:  # the whole picture takes it
+        assert np.ptp(raised, axis=0).max() < 3 * MUCH < raised.max()
+
+
+def test_a_bright_thing_is_no_spark(points):
+    light, foreseen = lit(len(points.pixel))
+    y, x = np.divmod(points.pixel, SHAPE[1])
+    light[(abs(y - 30) <= AROUND // 2) & (abs(x - 40) <= AROUND // 2)] *= 200
+    np.testing.assert_array_equal(spread_sparks(points, light, foreseen, SHAPE), light)
+
+
+def test_where_all_else_is_black_light_stays_finite(points):
+    light, foreseen = np.zeros((len(points.pixel), 3), F), np.zeros(len(points.pixel), F)
+    light[100] = 5
+    assert np.isfinite(spread_sparks(points, light, foreseen, SHAPE)).all()
