@@ -25,7 +25,7 @@ def spread_sparks(points: ShadingPoints, light: np.ndarray, foreseen: np.ndarray
 
     foreseen: (N,) W/m^2, as `methods.foreseen` has it.  shape: height and width of the picture.
     """
-    whole = light.mean(axis=1)
+    whole = light.sum(axis=1) / np.float32(3)  # of all light groups, as what is foreseen
     suspects = np.flatnonzero(whole > BRIGHT * foreseen)
     if not len(suspects):
         return light
