@@ -26,7 +26,7 @@ def spread_sparks(points: ShadingPoints, light: np.ndarray, foreseen: np.ndarray
     foreseen: (N,) W/m^2, as `methods.foreseen` has it.  shape: height and width of the picture.
     """
     whole = light.sum(axis=1) / np.float32(3)  # of all light groups, as what is foreseen
-    suspects = np.flatnonzero(whole > BRIGHT * foreseen)
+    suspects = np.flatnonzero((whole > BRIGHT * foreseen) & np.isfinite(whole))
     if not len(suspects):
         return light
     height, width = shape
@@ -45,17 +45,20 @@ def spread_sparks(points: ShadingPoints, light: np.ndarray, foreseen: np.ndarray
         return light
     sparks = suspects[far_above]
     kept = (KEPT * usual[far_above] / whole[sparks])[:, None]
-    albedo = points.albedo.mean(axis=1)
     area = points.pixel // width // AREA * -(-width // AREA) + points.pixel % width // AREA
     spread = light.copy()
     spread[sparks] *= kept
     # Channel by channel, in proportion to what is foreseen of each point.
-    share = albedo * foreseen
-    sums, total = np.bincount(area, share), share.sum()
     for c in range(light.shape[1]):
+        albedo = points.albedo[:, c % 3]
+        sums = np.bincount(area, albedo * foreseen)
+        total = sums.sum()
+        if not total > 0:  # nobody can take it
+            spread[:, c] = light[:, c]
+            continue
         excess = np.bincount(area[sparks], albedo[sparks] * (light[sparks, c] - spread[sparks, c]), len(sums))
         nearby = np.minimum(excess, MUCH * np.bincount(area, albedo * spread[:, c], len(sums)))
-        rest = (excess - nearby).sum() / total if total > 0 else 0.0
+        rest = (excess - nearby).sum() / total
         raised = np.divide(nearby, sums, out=np.zeros_like(sums), where=sums > 0) + rest
         spread[:, c] += raised.astype(np.float32)[area] * foreseen
     return spread

@@ -1,7 +1,7 @@
 """Method and numbers of one render, by what is asked for: a time, an error, or neither.
 
 A budget is spent on few large passes, of which the first tells what the others cost.  A target is reached by one pass, where it is so coarse that
-the fewest samples do, or a pilot foresees its error.  Small pictures, which are no larger than a pilot would be, begin with two passes that tell it
+the fewest samples do, or a pilot foresees its error.  Small pictures, in which a pilot costs as much as they do, begin with two passes that tell it
 and count.  What needs more than one large pass is made in rounds of three, whose own estimate (`core.passes`) tells how many more samples are
 missing.  Nothing there depends on the clock, so that the same seed gives the same picture.  A pilot is the same scene in a picture so small that it
 costs little.
@@ -256,18 +256,16 @@ class Planner:
         def wanted(error: float) -> float:
             return LEAST * (error / target) ** (1 / slope)
 
-        passes = "one pass" if not made else "one more pass"
+        more = "more " if made else ""
         quality = self._bounded(wanted(one) - made, up=True)
         self.foreseen = one * ((made + quality) / LEAST) ** -slope
         if quality <= ALONE and self.foreseen <= target * (1 + 1e-6):
-            self.reasons.append(f"{known}: {passes} of quality {quality:.3g} should have {self.foreseen:.2g}")
+            self.reasons.append(f"{known}: one {more}pass of quality {quality:.3g} should have {self.foreseen:.2g}")
             self._say_when_better(self.foreseen, made + quality)
             return quality
         self.foreseen = None
         quality = self._bounded(wanted(three) - made / GROUPS, up=True)  # a second round costs more than a step
-        self.reasons.append(
-            f"{known}: {passes.replace('one', 'three').replace('pass', 'passes')} of quality {quality:.3g} should have {target:.2g}"
-        )
+        self.reasons.append(f"{known}: three {more}passes of quality {quality:.3g} should have {target:.2g}")
         return quality
 
     def _first_of_budget(self, left: float) -> float:

@@ -39,7 +39,7 @@ def _fibre_albedo(cosine, roughness):
 def _velvet_albedo(cosine: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """Albedo (C, S) of the velvet for views at `cosine` (C,), of spreads (S,), by quadrature over its normals h.
 
-    By t = cot h / s, whose density is nearly that of a Gaussian.  This is done on every start: over directions of light it takes forty times as long.
+    By t = cot h / s, whose density is nearly that of a Gaussian.  This is done on every start: over directions of light it takes over twenty times as long.
     """
     n, m = 32, 64
     t, turn = (np.arange(n)[:, None] + 0.5) * (4 / n), (np.arange(m) + 0.5) * np.pi / m

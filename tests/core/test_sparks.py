@@ -17,7 +17,7 @@ def points():
     n = 2 * SHAPE[0] * SHAPE[1]
     points = ShadingPoints.allocate(n)
     points.pixel[:] = np.arange(n) // 2
-    points.albedo[:] = rng.uniform(0.1, 0.5, (n, 1))
+    points.albedo[:] = rng.uniform(0.1, 0.5, (n, 3))
     return points
 
 
@@ -41,16 +41,17 @@ def test_a_spark_is_spread_and_no_light_lost(points, columns, strength):
     before = light.copy()
     found = spread_sparks(points, light, foreseen, SHAPE)
     np.testing.assert_array_equal(light, before)
-    sent = [(points.albedo[:, :1] * x.astype(float)).sum(axis=0) for x in (light, found)]
+    albedo = np.tile(points.albedo, columns // 3)
+    sent = [(albedo * x.astype(float)).sum(axis=0) for x in (light, found)]
     np.testing.assert_allclose(sent[1], sent[0], rtol=1e-5)
     assert found[k].mean() < 2.5 * KEPT
     others = np.arange(len(light)) != k
     raised = (found - light)[others] / foreseen[others, None]
     assert raised.min() >= 0
-    if strength == 200:  # little is left nearby
+    if strength == 200:  # next to nothing is left beyond the area
         assert raised.max() < 2 * MUCH
         far = points.pixel % SHAPE[1] >= 64
-        assert raised[far[others]].max() == 0
+        assert raised[far[others]].max() < MUCH / 5
     else:  # the whole picture takes it
         assert np.ptp(raised, axis=0).max() < 3 * MUCH < raised.max()
 
@@ -62,7 +63,13 @@ def test_a_bright_thing_is_no_spark(points):
     np.testing.assert_array_equal(spread_sparks(points, light, foreseen, SHAPE), light)
 
 
-def test_where_all_else_is_black_light_stays_finite(points):
+def test_where_nobody_can_take_it_light_stays(points):
     light, foreseen = np.zeros((len(points.pixel), 3), F), np.zeros(len(points.pixel), F)
     light[100] = 5
-    assert np.isfinite(spread_sparks(points, light, foreseen, SHAPE)).all()
+    np.testing.assert_array_equal(spread_sparks(points, light, foreseen, SHAPE), light)
+
+
+def test_what_is_no_number_is_not_spread(points):
+    light, foreseen = lit(len(points.pixel))
+    light[100], light[5000] = np.inf, np.nan
+    np.testing.assert_array_equal(spread_sparks(points, light, foreseen, SHAPE), light)
