@@ -84,7 +84,7 @@ BRIGHTEST = np.float32(8.0)
 _AS_WIDE = np.float32(0.25)
 _MORE = 16  # times as many particles are tried where none has landed
 SHINE, THROUGH = 1, 2  # kinds of lights, `Vpls.shine`
-_NESTED = 4  # fronts of glass, each within the last, that a particle owes for
+NESTED = 4  # fronts of glass, each within the last, that a particle owes for
 _MET = 0.2  # of what passes an angled surface, at least, tries what that keeps
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -276,7 +276,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
     scattered = np.empty(WIDTH, np.int32)  # diffuse reflections so far, and one for the first surface in any case, and for glass before it
     lobe = np.zeros(LOBE, np.float32)
     entered = np.empty(WIDTH, np.int64)
-    owed = np.empty((WIDTH, _NESTED), np.float32)
+    owed = np.empty((WIDTH, NESTED), np.float32)
     n = 0
     n_rays = 0
     albedo_sum = 0.0
@@ -383,7 +383,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                                 if not behind:
                                     evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
                                     within = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
-                                    owed[lane, min(entered[lane], _NESTED - 1)] = within / (tr + tg + tb)
+                                    owed[lane, min(entered[lane], NESTED - 1)] = within / (tr + tg + tb)
                                 entered[lane] = passed_glass(entered[lane], behind)
                         else:  # the albedo at a hit is that of what does not let light through
                             flux[lane, 0] /= _1 - chance
@@ -412,7 +412,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                     sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
                     if not (flags & REFRACTIVE and behind):  # else it stays within the glass
-                        for k in range(min(entered[lane], _NESTED)):
+                        for k in range(min(entered[lane], NESTED)):
                             for c in range(3):
                                 flux[lane, c] *= owed[lane, k]
                         entered[lane] = OUTSIDE

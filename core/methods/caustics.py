@@ -22,7 +22,7 @@ from ..lamps.emission import FOR_EVER, emit, focused
 from ..lamps.links import lights
 from ..lamps.shapes import AWAY_FROM_CENTRE
 from ..lamps.tables import CASTS_SHADOW, FADING, ONE_MINUS_COS, RADIUS, SEEN_BY_GLOSSY
-from ..particles import BLUR, MAX_ADJOINT, faded, reflected
+from ..particles import BLUR, MAX_ADJOINT, NESTED, faded, reflected
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.packet import WIDTH, is_occluded, new_packet, set_ray
 from ..rays.trace import ALL, OPAQUE, intersect1, occluded1, occluded_packet
@@ -81,8 +81,8 @@ class Photons(NamedTuple):
     """P photons: where lamps' light has landed that lenses bent or lobes reflected.
 
     position: (P, 3) float32 (m).  normal: (P, 3) float32, geometric, on the lit side.  direction: (P, 3) float32, unit, in which they flew.
-    entry: (P, 3) float32, where they first met glass, or the lobe (m).  flux: (P, 3) float32, W.  side: (P,) float32, 1 where
-    the normal is their triangle's own, else -1.  group: (P,) int32, their lamps' light groups.
+    entry: (P, 3) float32, where they first met glass, or the lobe (m).  facing: (P, 3) float32, geometric normal of the lobe's surface, on the
+    side to which it reflects; 0 without one.  flux: (P, 3) float32, W.  side: (P,) float32, 1 where the normal is their triangle's own, else -1.  group: (P,) int32, their lamps' light groups.
     mirrored: (P,) uint8, whether what reflected them `is_mirror` to wide lobes.  narrow: (P,) float32, by how much narrower it is
     than virtual lights can tell, by `particles.BLUR`: 0 to 1.
     """
@@ -91,6 +91,7 @@ class Photons(NamedTuple):
     normal: np.ndarray
     direction: np.ndarray
     entry: np.ndarray
+    facing: np.ndarray
     flux: np.ndarray
     side: np.ndarray
     group: np.ndarray
@@ -101,7 +102,7 @@ class Photons(NamedTuple):
     def allocate(n: int) -> Photons:
         """Room for n photons, not set."""
         return Photons(
-            *(np.empty((n, 3), np.float32) for _ in range(5)),
+            *(np.empty((n, 3), np.float32) for _ in range(6)),
             np.empty(n, np.float32),
             np.empty(n, np.int32),
             np.empty(n, np.uint8),
@@ -126,8 +127,9 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
     """
     packet = new_packet()
     rows = new_registers(scene.materials)
-    surface = np.zeros(SURFACE, np.float32)
+    surface, lens = np.zeros(SURFACE, np.float32), np.zeros(SURFACE, np.float32)
     lobe = np.zeros(LOBE, np.float32)
+    owed, back = np.empty(NESTED, np.float32), np.empty(6, np.float32)
     emitters = scene.emitters
     n = rays = 0
     for i in range(begin, end):
@@ -147,8 +149,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
         thrown = mirrored = False
         narrow = _0
         ax, ay, az = dx, dy, dz  # the straight way
-        x = y = z = qx = qy = qz = flown = _0
-        glasses = 0
+        x = y = z = qx = qy = qz = fx = fy = fz = flown = _0
+        glasses = fronts = 0  # fronts: of them, whose backs it has not met
         entered = OUTSIDE
         for layer in range(_SURFACES):
             rays += 1
@@ -160,7 +162,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
             behind = gx * dx + gy * dy + gz * dz > _0
             flags = scene.materials.flags[scene.material[triangle]]
             seen = scene.object_visibility[scene.object[triangle]]
-            passes = flags & TRANSPARENT != 0
+            passes, reverse = flags & TRANSPARENT != 0, False
             receives = seen & DIFFUSE != 0 and (thrown or lights(emitters, e, scene.object, triangle))
             if lobes and not thrown and not (seen & hides and emitters.flags[e] & CASTS_SHADOW):
                 # It is lit, and so is what lies behind it: the particle does one or the other.
@@ -171,7 +173,16 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
                     continue
             elif passes:
+                # What comes through is seen from the other end; a view from within a solid may be reflected totally.
+                reverse = flags & (ANGLED | REFRACTIVE) == ANGLED or (flags & REFRACTIVE != 0 and behind and fronts == 0)
+                if reverse:
+                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
+                    for c in range(3):
+                        back[c], back[3 + c] = surface[TRANSPARENCY + c], surface[REFRACTION + c]
                 evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
+                if reverse:
+                    for c in range(3):
+                        surface[TRANSPARENCY + c], surface[REFRACTION + c] = back[c], back[3 + c]
                 chance = passing_chance(surface, flags & ANGLED != 0)
                 if chance < _1:  # what it leaves lights all that is around, however little of the surface there is just there
                     chance = min(chance, MOST_PASSING)
@@ -191,9 +202,13 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     continue
             if not passes:
                 bends = glasses > 0 and is_lens(glasses, x, y, z, ax, ay, az)
-                # What is within a solid is lit by straight rays; what glass itself throws is reflected outside of it.
-                if not receives or (flags & REFRACTIVE and (behind or thrown or not lobes)) or (not thrown and flown < before + near):
+                # What is within a solid is lit by straight rays.
+                if not receives or (flags & REFRACTIVE and (thrown or not lobes)) or (not thrown and flown < before + near):
                     break
+                if not (flags & REFRACTIVE and behind):  # else it stays within the glass
+                    for k in range(min(fronts, NESTED)):
+                        r, g, b = owed[k] * r, owed[k] * g, owed[k] * b
+                    fronts = 0
                 if lobes and not thrown:
                     if bends or (glasses > 0 and bounces < 2):
                         break
@@ -220,7 +235,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     if not max(r, g, b) > _0:
                         break
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
-                    qx, qy, qz = ox, oy, oz
+                    qx, qy, qz, fx, fy, fz = ox, oy, oz, gx, gy, gz
                     thrown, entered, kinds = True, OUTSIDE, DIFFUSE
                     mirrored = is_mirror(scene.materials, scene.material[triangle])
                     narrow = max(_0, _1 - (surface[ROUGHNESS] / BLUR) ** 2)
@@ -232,6 +247,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 photons.normal[n, 0], photons.normal[n, 1], photons.normal[n, 2] = side * gx, side * gy, side * gz
                 photons.direction[n, 0], photons.direction[n, 1], photons.direction[n, 2] = dx, dy, dz
                 photons.entry[n, 0], photons.entry[n, 1], photons.entry[n, 2] = qx, qy, qz
+                photons.facing[n, 0], photons.facing[n, 1], photons.facing[n, 2] = fx, fy, fz
                 photons.flux[n, 0], photons.flux[n, 1], photons.flux[n, 2] = r, g, b
                 photons.side[n], photons.group[n] = side, emitters.light_group[e]
                 photons.mirrored[n], photons.narrow[n] = mirrored, narrow
@@ -246,10 +262,23 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 glasses += 1
                 material = scene.material[triangle]
                 turns = False
-                if abs(surface[BEND] - _1) > STRAIGHT_ON:
+                eta = surface[BEND]
+                front = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
+                ix, iy, iz = dx, dy, dz
+                if abs(eta - _1) > STRAIGHT_ON and not reverse:  # what leaves such a solid goes straight on, as its reverse is seen
                     turns, ox, oy, oz, dx, dy, dz = bent(scene.materials, scene, material, triangle, u, v, dx, dy, dz, surface)
                 if not turns:
                     entered = passed_glass(entered, behind)
+                if behind:
+                    fronts = max(fronts - 1, 0)
+                else:
+                    # Seen from within, as where a pane is one sheet: bent light is denser there by the square of the index, but no brighter to Cycles.
+                    owes = _1 / (eta * eta)
+                    if not turns:
+                        evaluate_along(scene, triangle, u, v, -ix, -iy, -iz, OUTSIDE, rows, lens)
+                        owes = (lens[TRANSPARENCY] + lens[TRANSPARENCY + 1] + lens[TRANSPARENCY + 2]) / front
+                    owed[min(fronts, NESTED - 1)] = owes
+                    fronts += 1
                 if surface[FROST] > SMALLEST_ALPHA:  # about the way that clear glass would send it
                     ox, oy, oz, dx, dy, dz, w = scattered(
                         scene.materials, scene, material, triangle, u, v, dx, dy, dz,
@@ -438,6 +467,13 @@ def _reach(position: np.ndarray, nearest: int, threads: int) -> np.ndarray:
     return np.concatenate([own[:, 0], others[:, 0]])
 
 
+@inlined
+def _is_ahead(photons, p, x, y, z):
+    """Whether a point lies on the side of the surface to which the lobe reflects that has thrown photon p: glass hides nothing behind it."""
+    dx, dy, dz = x - photons.entry[p, 0], y - photons.entry[p, 1], z - photons.entry[p, 2]
+    return photons.facing[p, 0] * dx + photons.facing[p, 1] * dy + photons.facing[p, 2] * dz >= _0
+
+
 @kernel
 def _keep(scene, photons, radius, tested, begin, end, seed):
     """Makes up for what of the disks of the photons begin..end-1 lies beyond edges and in corners, by a few rays through each; the rays traced."""
@@ -479,7 +515,7 @@ def _keep(scene, photons, radius, tested, begin, end, seed):
                             x, y, z, gx, gy, gz, error, photons.entry[p, 0], photons.entry[p, 1], photons.entry[p, 2], _0, _0, _0, _0
                         )  # fmt: skip
                         rays += 1
-                        met += not occluded1(scene.rays, OPAQUE, packet, sx, sy, sz, dx, dy, dz, _0, _1, DIFFUSE)
+                        met += _is_ahead(photons, p, x, y, z) and not occluded1(scene.rays, OPAQUE, packet, sx, sy, sz, dx, dy, dz, _0, _1, DIFFUSE)
                     else:
                         met += 1
                 ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, -mx, -my, -mz)
@@ -586,6 +622,10 @@ def _light(scene, caustics, points, lit, begin, end, seed, tested, every, near, 
                     else:
                         left = (left * total - light) / (total - light)
         if picked < 0:
+            continue
+        if tested and not _is_ahead(photons, picked, x, y, z):
+            for c in range(out.shape[1]):
+                found[n, c] = seen[n, c] = _0
             continue
         owner[n] = i
         if tested:

@@ -256,13 +256,14 @@ def _dielectric_albedo(f0, roughness, cosine):
 
 @leaf
 def _kept_by_back(f0, ior, roughness, cosine, smooth):
-    """What the rough back of a pane keeps (0..1) of light that goes straight on to `cosine` (0..1) outside, beside what a smooth one keeps.
+    """What the back of a pane keeps (0..1) of light that goes straight on to `cosine` (0..1) outside, where one side alone, `smooth`, reflects so much.
 
-    Of what it reflects totally, both sides of the pane let as much through in the end: m / (1 + m) leaves by the front.
+    Of what it reflects, both sides of the pane let as much through in the end: m / (1 + m) leaves by the front.  So does what it reflects
+    totally where it is rough.
     """
     within = np.sqrt(F(1) - (F(1) - cosine * cosine) / (ior * ior))
     more = ggx.more_within(np.sqrt(np.sqrt(f0)), within, roughness)
-    return min(smooth + more / (F(1) + more), F(1))
+    return min(smooth / (F(1) + smooth) + more / (F(1) + more), F(1))
 
 
 @leaf
@@ -294,8 +295,10 @@ def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine
         through -= f0
     elif ior != F(1):
         kept = _dielectric_albedo(f0, roughness, cosine)
-        if cosine < F(0) and roughness > F(0) and ior > F(1) and not thin:
-            kept = f0 = f90 = _kept_by_back(f0, ior, roughness, view_cosine(cosine), kept)
+        if cosine < F(0) and ior > F(1) and not thin:
+            smooth = kept
+            kept = _kept_by_back(f0, ior, roughness, view_cosine(cosine), smooth)
+            f0 = f90 = min(kept / max(F(1) - smooth, F(1e-3)), F(1))  # the front takes its part of that, once more
         through -= kept
         if thin:
             c = view_cosine(cosine)

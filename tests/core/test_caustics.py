@@ -33,6 +33,7 @@ def plane(normal=(0.0, 0.0, 1.0)):
 def spot(n, width, height=0.0):
     """Photons of 1 W in all that fall straight down, with a normal distribution."""
     photons = Photons.allocate(n)
+    photons.facing[:] = 0
     photons.position[:, :2] = np.random.default_rng(1).normal(0, width, (n, 2))
     photons.position[:, 2] = height
     photons.normal[:], photons.direction[:], photons.flux[:], photons.side[:], photons.group[:] = (0, 0, 1), (0, 0, -1), 1 / n, 1, 0

@@ -143,3 +143,46 @@ def test_gather_rays_know_what_shines_behind_a_pane():
         for method in ("importance-sampling", "instant-radiosity")
     )
     assert gathered == pytest.approx(aimed, rel=0.03)
+
+
+def standing(thickness):
+    """A pane that stands on a floor under the sky, seen from its front; a sheet where it has no thickness."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    glass = material("Glass", **GLASS)
+    quad(scene, [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], material("Grey", Base_Color=(0.7, 0.7, 0.7, 1), Specular_IOR_Level=0.0))
+    if thickness:
+        slab(scene, -1, 1, 0.5, 0.5 + thickness, 0.001, 1, glass)
+    else:
+        quad(scene, [(-1, 0.5, 0.001), (1, 0.5, 0.001), (1, 0.5, 1), (-1, 0.5, 1)], glass)
+    sky(scene)
+    look(scene, (0, -2.5, 2.2), (math.radians(48.7), 0, 0), lens=35)
+    return scene
+
+
+def window_and_mirror():
+    """The dark floor under a sheet of glass, and a mirror beside it that shows the sky to it."""
+    scene = open_box()
+    roof(scene, 1, material("Glass", **GLASS))
+    scene.collection.objects[-1].visible_camera = False
+    quad(scene, [(-0.95, -0.9, 0), (-0.95, 0.9, 0), (-0.95, 0.9, 0.95), (-0.95, -0.9, 0.95)], material("Mirror", Metallic=1.0, Roughness=0.0))
+    sky(scene)
+    look(scene, (0, 0, 20), (0, 0, 0), type="ORTHO", ortho_scale=1.6)
+    return scene
+
+
+LOBES = {"sheet": lambda: standing(0), "pane": lambda: standing(0.02), "mirror": window_and_mirror}
+
+
+@pytest.mark.parametrize("place", LOBES)
+def test_photons_by_lobes_meet_glass_as_in_cycles(place):
+    """What glass reflects on either of its sides, and mirrors of what comes through it, reaches the floor, and what lies behind the glass does not have it, too."""
+    scene = LOBES[place]()
+    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "place": place}
+    halves = cached_halves(scene, identity, size=(32, 18), spp=512, bounces=4, seed=1)
+    arrays = extract_scene(scene, size=(32, 18))
+    ours = [render(arrays, RenderSettings(seed=seed, denoise=False)).layers for seed in range(SEEDS)]
+    for layer in ("DiffuseIndirect", "GlossyIndirect"):
+        expected, mine = ([layers[layer].mean(dtype=float) for layers in some] for some in (halves, ours))
+        noise = abs(expected[0] - expected[1]) / 2 + np.std(mine, ddof=1) / math.sqrt(SEEDS)
+        assert abs(np.mean(mine) - np.mean(expected)) <= 0.03 * np.mean(expected) + 3 * noise
