@@ -30,7 +30,7 @@ from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import orthonormal_basis
 from ..sampling.sequences import sobol
-from ..scene import ANGLED, DIFFUSE, POINT, REFRACTIVE, SPOT, SUN, TRANSPARENT, bounds
+from ..scene import ANGLED, DIFFUSE, METAL, POINT, REFRACTIVE, SPOT, SUN, TRANSPARENT, bounds
 from ..surfaces.bending import STRAIGHT_ON, bent, scattered
 from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSPARENCY, passing_chance
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value
@@ -40,7 +40,7 @@ from ..surfaces.program import new_registers
 from ..surfaces.visibility import OUTSIDE, evaluate_along, is_lens, passed_glass
 from ..threads import Progress, run_chunks
 from ..transport import Transport
-from .wide_lobes import is_mirror, is_wide
+from .wide_lobes import is_wide
 
 CHUNK = 4096  # particles a chunk
 GLANCE, PILOT = 1 << 14, 1 << 16  # particles that tell whether any meet a lens or a lobe, and where
@@ -57,15 +57,17 @@ FEWEST_NEAREST, PART_NEAREST, MOST_NEAREST = 64, 1 / 256, 256  # the same of wha
 WORTHWHILE = 0.02  # share of the view's light that lobes throw, weighed by how far virtual lights blur them
 # Share of the view's light from which on all photons are traced, however wide the lobes (close by, the clamp leaves virtual lights' part to rays that know
 # no direction), and the least part of them.
-MUCH, LEAST_PART = 0.2, 0.5
+MUCH, LEAST_PART = 0.2, 1 / 16
 MANY = 4  # times as many photons as neighbours, at least: fewer tell nothing
-LOOKS = 32  # of the photons by lobes around it that each point looks at, a quarter where they bring little: its own noise is the denoiser's
+LOOKS = 32  # of the photons by lobes around it that each point looks at: its own noise is the denoiser's
+FEW_LOOKS = 0.5  # root of the least part of these, where they bring little
 ASKED = 16  # neighbours that tell how far more of them are
 RAYS_A_DISK = 8  # that tell how much of it there is
 SPARSE = 2.0  # times the median of the distances at which they lie: none is spread farther
 _SURFACES = 32  # that a photon meets at most
 _ALIKE = np.float32(0.7)  # cosine of the normals of a point and of a photon that lights it, at least
 _THICK = np.float32(0.1)  # of that distance: photons so far out of a point's plane are of another surface
+_SMALLER = 4  # disks that are tried at most, each half as wide as the one before, of photons most of whose disk is lost
 _LAYERS = 4  # that lie so near each other, at most
 MOST_PASSING = np.float32(0.75)  # of the particles that meet the rim of a leaf's picture: the others have so much the more light
 _MOST_KEPT = np.float32(8.0)  # times its flux: in foliage no more of it is kept
@@ -83,7 +85,7 @@ class Photons(NamedTuple):
     position: (P, 3) float32 (m).  normal: (P, 3) float32, geometric, on the lit side.  direction: (P, 3) float32, unit, in which they flew.
     entry: (P, 3) float32, where they first met glass, or the lobe (m).  facing: (P, 3) float32, geometric normal of the lobe's surface, on the
     side to which it reflects; 0 without one.  flux: (P, 3) float32, W.  side: (P,) float32, 1 where the normal is their triangle's own, else -1.  group: (P,) int32, their lamps' light groups.
-    mirrored: (P,) uint8, whether what reflected them `is_mirror` to wide lobes.  narrow: (P,) float32, by how much narrower it is
+    metal: (P,) uint8, whether metal reflected them.  narrow: (P,) float32, by how much narrower it is
     than virtual lights can tell, by `particles.BLUR`: 0 to 1.
     """
 
@@ -95,7 +97,7 @@ class Photons(NamedTuple):
     flux: np.ndarray
     side: np.ndarray
     group: np.ndarray
-    mirrored: np.ndarray
+    metal: np.ndarray
     narrow: np.ndarray
 
     @staticmethod
@@ -146,7 +148,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
             continue
         hides = emitters.shadow_kinds[e]
         kinds = DIFFUSE | hides
-        thrown = mirrored = False
+        thrown = metal = False
         narrow = _0
         ax, ay, az = dx, dy, dz  # the straight way
         x = y = z = qx = qy = qz = fx = fy = fz = flown = _0
@@ -237,7 +239,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
                     qx, qy, qz, fx, fy, fz = ox, oy, oz, gx, gy, gz
                     thrown, entered, kinds = True, OUTSIDE, DIFFUSE
-                    mirrored = is_mirror(scene.materials, scene.material[triangle])
+                    metal = flags & METAL > 0
                     narrow = max(_0, _1 - (surface[ROUGHNESS] / BLUR) ** 2)
                     continue
                 if not (bends or thrown):
@@ -250,7 +252,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 photons.facing[n, 0], photons.facing[n, 1], photons.facing[n, 2] = fx, fy, fz
                 photons.flux[n, 0], photons.flux[n, 1], photons.flux[n, 2] = r, g, b
                 photons.side[n], photons.group[n] = side, emitters.light_group[e]
-                photons.mirrored[n], photons.narrow[n] = mirrored, narrow
+                photons.metal[n], photons.narrow[n] = metal, narrow
                 n += 1
                 break
             # What hides from diffuse rays sends none of them to the lamp.
@@ -310,13 +312,14 @@ def _traced(
 
 def trace_photons(
     scene: Transport, position: np.ndarray, wanted: float, most: int, bounces: int, seed: int, threads: int = 0,
-    progress: Progress | None = None, *, lobes: bool = False, narrow: float = 0.0,
+    progress: Progress | None = None, *, lobes: bool = False, worth: float = 0.0, wide: float = 0.0,
 ) -> tuple[Photons, int]:  # fmt: skip
     """About so many photons `wanted` around points (N, 3), of `most` particles, none where nothing throws light on anything; and the rays traced.
 
     Their density, flux a unit of area, is the irradiance (W/m^2) that shadow rays miss; or, with `lobes`, what glossy surfaces reflect
-    of the lamps' light at first hand.  bounces: as of the picture.  narrow: what the mean `Photons.narrow` of those around the points, weighed by
-    their light, must be at least; else there are none.
+    of the lamps' light at first hand.  bounces: as of the picture.  worth: what the mean `Photons.narrow` of those around the points, weighed by
+    their light, must be at least; else there are none.  wide: part of the points that have wide lobes: to these what metal throws is worth as much as by narrow ones, for
+    it is bright, and by rays from the lobes alone all noise.
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -338,7 +341,7 @@ def trace_photons(
         rays += more
     telling = useful(photons)
     light = photons.flux[telling].sum(axis=1, dtype=np.float64)
-    if light @ photons.narrow[telling] < narrow * light.sum():
+    if light @ np.maximum(photons.narrow[telling], np.float32(wide) * photons.metal[telling]) < worth * light.sum():
         return photons.take(slice(0, 0)), rays
     if np.count_nonzero(telling) >= TELLING:
         scene = scene._replace(emitters=focused(scene.emitters, photons.entry[telling]))
@@ -367,26 +370,26 @@ def by_lenses(
 
 
 def by_lobes(
-    scene: Transport, position: np.ndarray, share: float, vpls: int, bounces: int, seed: int, threads: int = 0,
+    scene: Transport, position: np.ndarray, share: float, wide: float, vpls: int, bounces: int, seed: int, threads: int = 0,
     progress: Progress | None = None,
 ) -> tuple[Caustics | None, int]:  # fmt: skip
     """What glossy surfaces throw on points (N, 3) of the lamps' light, None where that is little, beside so many VPLs; and the rays traced.
 
-    share: of the points' light that it is, about.
+    share: of the points' light that it is, about.  wide: part of the points that have wide lobes.
     """
     if share < WORTHWHILE:
         return None, 0
-    part = min(1.0, max(share / MUCH, LEAST_PART))  # of less light, more noise is as good
+    part = min(1.0, max((share / MUCH) ** 2, LEAST_PART))  # of less light, more noise is as good
     more = min(vpls / VPLS, MOST_BESIDE)
     wanted = part * more * BY_LOBES
-    narrow = WORTHWHILE / share if share < MUCH else 0.0
+    worth = WORTHWHILE / share if share < MUCH else 0.0
     photons, rays = trace_photons(
-        scene, position, wanted, int(more * MOST_BY_LOBES), bounces, seed, threads, progress, lobes=True, narrow=narrow
+        scene, position, wanted, int(part * more * MOST_BY_LOBES), bounces, seed, threads, progress, lobes=True, worth=worth, wide=wide
     )
     nearest = int(np.clip(PART_NEAREST * wanted, FEWEST_NEAREST, MOST_NEAREST))
     if len(photons.group) < MANY * nearest:
         return None, rays
-    caustics = arranged(photons, nearest, threads, tested=True, every=max(1, int(nearest / (LOOKS * part**2))))
+    caustics = arranged(photons, nearest, threads, tested=True, every=max(1, int(nearest / (LOOKS * max(part, FEW_LOOKS) ** 2))))
     return caustics, rays + keep_light(scene, caustics, seed, threads)
 
 
@@ -483,45 +486,52 @@ def _keep(scene, photons, radius, tested, begin, end, seed):
         mx, my, mz = photons.normal[p, 0], photons.normal[p, 1], photons.normal[p, 2]
         tx, ty, tz, bx, by, bz = orthonormal_basis(mx, my, mz)
         r = radius[p]
-        thick = _THICK * r
-        turn = uniform(seed, p, 0, 0)
-        met = 0
-        for k in range(RAYS_A_DISK):
-            # Spread as Epanechnikov's kernel is; down through all that the light reaches.
-            u = (np.float32(k) + uniform(seed, p, k, 1)) / np.float32(RAYS_A_DISK)
-            away = r * np.float32(math.sqrt(_1 - math.sqrt(_1 - u)))
-            angle = np.float32(2 * math.pi) * (turn + _GOLDEN * np.float32(k))
-            a, b = away * np.float32(math.cos(angle)), away * np.float32(math.sin(angle))
-            high = min(thick, np.float32(math.sqrt(r * r - away * away)))
-            ox, oy, oz = (
-                photons.position[p, 0] + a * tx + b * bx + high * mx,
-                photons.position[p, 1] + a * ty + b * by + high * my,
-                photons.position[p, 2] + a * tz + b * bz + high * mz,
-            )
-            far = _2 * high
-            for layer in range(_LAYERS):
-                triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, -mx, -my, -mz, _0, far, DIFFUSE)
-                rays += 1
-                if triangle < 0:
-                    break
-                x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
-                along = gx * mx + gy * my + gz * mz
-                # Triangles beside the photon's may turn the other way.  What lies below the first of them is a back, or seen from where the light comes.
-                if abs(along) >= _ALIKE and (tested or layer == 0 or photons.side[p] * along > _0):
-                    if tested:
-                        if along < _0:
-                            gx, gy, gz = -gx, -gy, -gz
-                        sx, sy, sz, dx, dy, dz = shadow_segment(
-                            x, y, z, gx, gy, gz, error, photons.entry[p, 0], photons.entry[p, 1], photons.entry[p, 2], _0, _0, _0, _0
-                        )  # fmt: skip
-                        rays += 1
-                        met += _is_ahead(photons, p, x, y, z) and not occluded1(scene.rays, OPAQUE, packet, sx, sy, sz, dx, dy, dz, _0, _1, DIFFUSE)
-                    else:
-                        met += 1
-                ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, -mx, -my, -mz)
-                far -= t
-                if not far > _0:
-                    break
+        for attempt in range(_SMALLER):
+            thick = _THICK * r
+            turn = uniform(seed, p, 0, 0)
+            met = 0
+            for k in range(RAYS_A_DISK):
+                # Spread as Epanechnikov's kernel is; down through all that the light reaches.
+                u = (np.float32(k) + uniform(seed, p, k, 1)) / np.float32(RAYS_A_DISK)
+                away = r * np.float32(math.sqrt(_1 - math.sqrt(_1 - u)))
+                angle = np.float32(2 * math.pi) * (turn + _GOLDEN * np.float32(k))
+                a, b = away * np.float32(math.cos(angle)), away * np.float32(math.sin(angle))
+                high = min(thick, np.float32(math.sqrt(r * r - away * away)))
+                ox, oy, oz = (
+                    photons.position[p, 0] + a * tx + b * bx + high * mx,
+                    photons.position[p, 1] + a * ty + b * by + high * my,
+                    photons.position[p, 2] + a * tz + b * bz + high * mz,
+                )
+                far = _2 * high
+                for layer in range(_LAYERS):
+                    triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, -mx, -my, -mz, _0, far, DIFFUSE)
+                    rays += 1
+                    if triangle < 0:
+                        break
+                    x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
+                    along = gx * mx + gy * my + gz * mz
+                    # Triangles beside the photon's may turn the other way.  What lies below the first of them is a back, or seen from where the light comes.
+                    if abs(along) >= _ALIKE and (tested or layer == 0 or photons.side[p] * along > _0):
+                        if tested:
+                            if along < _0:
+                                gx, gy, gz = -gx, -gy, -gz
+                            sx, sy, sz, dx, dy, dz = shadow_segment(
+                                x, y, z, gx, gy, gz, error, photons.entry[p, 0], photons.entry[p, 1], photons.entry[p, 2], _0, _0, _0, _0
+                            )  # fmt: skip
+                            rays += 1
+                            met += _is_ahead(photons, p, x, y, z) and not occluded1(
+                                scene.rays, OPAQUE, packet, sx, sy, sz, dx, dy, dz, _0, _1, DIFFUSE
+                            )
+                        else:
+                            met += 1
+                    ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, -mx, -my, -mz)
+                    far -= t
+                    if not far > _0:
+                        break
+            if 2 * met >= RAYS_A_DISK or attempt + 1 == _SMALLER:
+                break
+            r *= _HALF  # most of it would be lost: on something small, or beside an edge
+        radius[p] = r
         # The mean of this is about one over the part that is met (a binomial's).
         more = min(_MOST_KEPT, np.float32(RAYS_A_DISK + 1) / np.float32(met + 1))
         for c in range(3):
@@ -547,7 +557,7 @@ def _light(scene, caustics, points, lit, begin, end, seed, tested, every, near, 
     """Adds the irradiance by photons, each evenly bright but for Epanechnikov's kernel of its radius, to the rows lit[begin..end-1] of `out`.
 
     tested: whether it is seen from there where they come from, as one of them by chance tells.  every: by so-manyth of those around alone.
-    shown: (N, 3 G) W/m^2/sr, what wide lobes reflect of it is added there, but for what mirrors throw, or what comes from nearer than `near` (m)
+    shown: (N, 3 G) W/m^2/sr, what wide lobes reflect of it is added there, but for what comes from nearer than `near` (m)
     or than their blur of a cell of the cache, of a `size` (m): their own rays find that.  No rows for none.
     """
     slots = len(caustics.start) - 1
@@ -606,7 +616,7 @@ def _light(scene, caustics, points, lit, begin, end, seed, tested, every, near, 
                     found[n, c] += r
                     found[n, c + 1] += g
                     found[n, c + 2] += b
-                    if wide and not photons.mirrored[p]:
+                    if wide:
                         ex, ey, ez = photons.entry[p, 0] - x, photons.entry[p, 1] - y, photons.entry[p, 2] - z
                         if ex * ex + ey * ey + ez * ez > least * least:
                             lr, lg, lb, _ = lobe_value(lobe, -dx, -dy, -dz)

@@ -136,8 +136,8 @@ def _lamps_along(
 
 @kernel
 def _reflect_chunk(
-    scene, cache, near, row, points, owner, begin, end, samples, most, roulette, seed, first, clear, shared, further, shown, known, guide, hits,
-    mirror, sure, more,
+    scene, cache, near, row, points, owner, begin, end, samples, most, roulette, seed, first, clear, shared, further, lit, shown, known, guide, hits,
+    mirror, sure, more, lit_by_photons,
 ):  # fmt: skip
     """Draw up to `most` rays from the lobe of each point begin..end-1: emission that they meet is added to `shown` (N, 3 G), or to `known`
     where it passed glass.
@@ -146,6 +146,7 @@ def _reflect_chunk(
     weight of their ray; one with a narrow lobe reflects (mirror (H,) is 1) or is diffuse (0) at random.  Where the lobe is
     wider than the cells of the cache, and the surface farther than `near`, what it sends by row `row` is added to `known` (N, 3 G), and by the
     row before to the extent that Cycles counts the ray as a diffuse one (`wide_lobes.drawn_share`); more (H,) is 0 where it does, at random, else 1.
+    lit: (N,) uint8, 0 for points whose emission that their rays meet has been found by other ways.  lit_by_photons: (H,) uint8, 1 for hits of which it has.
     further: (N,) uint8, the `more` that stays what it was found to be, empty where it is to be found.
     clear: (N,) uint8, whether only mirrors lie between the point and the eye; then what its rays meet adds its diffuse albedo to
     `guide` (N, 3), as it is on average, and sure (H,) says whether that meets a mirror itself.
@@ -185,17 +186,18 @@ def _reflect_chunk(
             wr, wg, wb = wr / np.float32(n), wg / np.float32(n), wb / np.float32(n)
             vr, vg, vb = wr, wg, wb  # before what lies on the way
             rays += 1
-            _lamps_along(
-                scene, packet, rows, surface, points.triangle[i], expected, estimate, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx,
-                dy, dz, entered, wr, wg, wb, shown, known, i,
-            )  # fmt: skip
+            if lit[i]:
+                _lamps_along(
+                    scene, packet, rows, surface, points.triangle[i], expected, estimate, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx,
+                    dy, dz, entered, wr, wg, wb, shown, known, i,
+                )  # fmt: skip
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
             triangle, u, v, t, tr, tg, tb, unbroken, inside = nearest_surface(
                 scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), GLOSSY, key, index, 0, entered
             )
             wr, wg, wb = wr * tr, wg * tg, wb * tb
             if triangle < 0:
-                if world:
+                if world and lit[i]:
                     share = share_of(drawn, aimed_density(emitters, expected, estimate, shining, x, y, z, sx, sy, sz, dx, dy, dz))
                     r, g, b = world_radiance(emitters.world, dx, dy, dz)
                     c = 3 * emitters.light_group[shining]
@@ -221,7 +223,11 @@ def _reflect_chunk(
                 hx, hy, hz, nx, ny, nz = -hx, -hy, -hz, -nx, -ny, -nz
             cosine = lobe_cosine(nx, ny, nz, hx, hy, hz, -dx, -dy, -dz)
             e = emitter_of(emitters, triangle) if flags & EMISSIVE else -1
-            if flags & EMISSIVE and (e < 0 or (is_hidden_alike(emitters, e) and lights(emitters, e, scene.object, points.triangle[i]))):
+            if (
+                flags & EMISSIVE
+                and lit[i]
+                and (e < 0 or (is_hidden_alike(emitters, e) and lights(emitters, e, scene.object, points.triangle[i])))
+            ):
                 share = _1
                 if e >= 0:
                     share = share_of(drawn, aimed_density(emitters, expected, estimate, e, x, y, z, sx, sy, sz, dx, dy, dz))
@@ -275,6 +281,7 @@ def _reflect_chunk(
                     continue
                 wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
             mirror[n_hits] = sure[n_hits] = 0
+            lit_by_photons[n_hits] = wide and cache.shine == _0 and t > near and t * lobe[ALPHA] > cache.size
             more[n_hits] = uniform(key, index, 1, 5) < glossy
             if clear[i]:
                 guide[i, 0] += wr * (ar + lr)
@@ -324,7 +331,7 @@ def _reflect_chunk(
 
 def _draw(
     scene: Transport, cache: LightCache, near: float, row: int, points: ShadingPoints, owner: np.ndarray, samples: int, most: int,
-    roulette: bool, seed: int, threads: int, first: int, clear: np.ndarray, shared: SharedRays, further: np.ndarray,
+    roulette: bool, seed: int, threads: int, first: int, clear: np.ndarray, shared: SharedRays, further: np.ndarray, lit: np.ndarray,
 ):  # fmt: skip
     """Rays from all points -> (emission met (N, 3 G), light of the cache (N, 3 G), guide (N, 3), diffuse hits, mirrors hit, whether
     each of these is sure to be one, whether diffuse hits and mirrors have one bounce more, number of rays)."""
@@ -334,19 +341,19 @@ def _draw(
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * most)
-        mirror, sure, more = (np.empty((end - begin) * most, np.uint8) for _ in range(3))
+        mirror, sure, more, photons = (np.empty((end - begin) * most, np.uint8) for _ in range(4))
         n, rays = _reflect_chunk(
             scene, known_by, np.float32(near), row, starts, owner, begin, end, samples, most, roulette, np.uint32(seed), np.int64(first), clear,
-            shared, further, shown, known, guide, Reference(room), mirror, sure, more,
+            shared, further, lit, shown, known, guide, Reference(room), mirror, sure, more, photons,
         )  # fmt: skip
         mirror = mirror[:n].astype(bool)
         room = room.take(slice(0, n))
-        return room.take(~mirror), room.take(mirror), sure[:n][mirror], more[:n][~mirror], more[:n][mirror], rays
+        return room.take(~mirror), room.take(mirror), sure[:n][mirror], more[:n][~mirror], more[:n][mirror], 1 - photons[:n][mirror], rays
 
     parts = run_chunks(work, len(owner), CHUNK, threads)
     diffuse, mirrors = (ShadingPoints.concatenate([part[k] for part in parts]) for k in (0, 1))
-    sure, *more = (np.concatenate([part[k] for part in parts]) if parts else np.zeros(0, np.uint8) for k in (2, 3, 4))
-    return shown, known, guide, diffuse, mirrors, sure, more, sum(part[5] for part in parts)
+    sure, *more, lit = (np.concatenate([part[k] for part in parts]) if parts else np.zeros(0, np.uint8) for k in (2, 3, 4, 5))
+    return shown, known, guide, diffuse, mirrors, sure, more, lit, sum(part[6] for part in parts)
 
 
 def has_lobes(points: ShadingPoints) -> bool:
@@ -401,9 +408,9 @@ def reflect(
         part = ShadingPoints(*(a[block] for a in points))
         key = (seed ^ _SEED) + begin & 0xFFFFFFFF
         owner = np.arange(len(part.pixel), dtype=np.int32)
-        shown, known, guide, diffuse, mirrors, sure, (more, further), rays = _draw(
+        shown, known, guide, diffuse, mirrors, sure, (more, further), lamps, rays = _draw(
             scene, cache, near, bounces, part, owner, samples, reflections, False, key, threads, first, sharp[block].view(np.uint8),
-            shared._replace(gather=shared.gather[block]), np.zeros(0, np.uint8),
+            shared._replace(gather=shared.gather[block]), np.zeros(0, np.uint8), np.ones(len(owner), np.uint8),
         )  # fmt: skip
         direct[block], indirect[block], albedo[block] = shown, known, guide
         total += rays
@@ -413,15 +420,15 @@ def reflect(
                 break
             key = key + 1 & 0xFFFFFFFF
             light, rays = direct_light(scene, mirrors, 1, key, threads, reflections=1)
-            shown, known, guide, diffuse, seen, surely, (more, beyond), drawn = _draw(
+            shown, known, guide, diffuse, seen, surely, (more, beyond), beyond_lamps, drawn = _draw(
                 scene, cache, near, bounces, mirrors, mirrors.pixel, 1, 1, depth >= _SURE, key, threads, 0, sure,
-                no_sharing(len(mirrors.pixel)), further,
+                no_sharing(len(mirrors.pixel)), further, lamps,
             )  # fmt: skip
             _add(albedo[block], mirrors.pixel, guide)
-            _add(indirect[block], mirrors.pixel, light.glossy + light.glossy_by_glass + shown + known)
+            _add(indirect[block], mirrors.pixel, lamps[:, None] * (light.glossy + light.glossy_by_glass) + shown + known)
             lit.append(diffuse)
             deeper.append(more)
-            mirrors, sure, further = seen, surely, beyond
+            mirrors, sure, further, lamps = seen, surely, beyond, beyond_lamps
             total += rays + drawn
         hits = ShadingPoints.concatenate(lit)
         light = tail_light(scene, hits, bounces, key, threads, cache, near, further=np.concatenate(deeper))

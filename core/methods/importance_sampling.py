@@ -65,7 +65,7 @@ from .partition import strengths, trusted
 from .probes import Tracer, trace_farther, trace_probes
 from .tails import path_light
 from .thrown import redirected, shine_share, throwing
-from .wide_lobes import WIDE_ALPHA, SharedRays, bound, drawn_share, gather_density, is_mirror, is_wide, known_light
+from .wide_lobes import WIDE_ALPHA, SharedRays, bound, drawn_share, gather_density, is_mirror, is_wide, known_light, wide_part
 
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
@@ -662,7 +662,7 @@ class ImportanceSampling:
         """Photons in place of virtual lights and gather rays for what lobes reflect of the lamps, where that is much; the rays traced."""
         share = shine_share(self.probes, self.links, self.cache)
         count *= pool_growth(len(points.pixel))
-        self.caustics, rays = by_lobes(scene, points.position, share, count, self.bounces, seed, self.threads, progress)
+        self.caustics, rays = by_lobes(scene, points.position, share, wide_part(points), count, self.bounces, seed, self.threads, progress)
         if self.caustics:
             cache, shine = self.cache, self.links.shine
             lit = np.maximum(0, cache.lit - cache.trust[:, None] * shine)

@@ -6,7 +6,7 @@ its lobe, too: of the light that a surface y sends to a point x from direction d
 gather rays and rays from the lobe, by the balance heuristic (Veach & Guibas 1995).
 
 Surfaces nearer than the lobe's blur of a cell of the cache, and mirrors (`surfaces.brushed`), whose light a cell does not know, are left to the rays
-from the lobe alone.
+from the lobe alone; but for what these throw of the lamps' light where there are photons of it (`caustics`), which bring it to wide lobes, too.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import numpy as np
 
 from ..jit import inlined
 from ..scene import BRUSHED, DIFFUSE, GLOSSY
-from ..surfaces.lobes import ALBEDO, ALPHA
+from ..surfaces.lobes import ALBEDO, ALPHA, NEGLIGIBLE
+from ..view.points import ShadingPoints
 
 WIDE_ALPHA = np.float32(0.1)  # of narrower lobes the other rays find next to nothing
 NARROW = np.float32(0.35)  # roughness of what shows more than a cell of the cache could tell
@@ -59,6 +60,12 @@ def is_mirror(materials, material):
 def is_wide(lobe):
     """Whether other rays than its own serve a lobe (row of `surfaces.lobes`)."""
     return lobe[ALPHA] > WIDE_ALPHA
+
+
+def wide_part(points: ShadingPoints) -> float:
+    """The part of N points whose lobes, if they reflect anything, are wide."""
+    wide = (np.maximum(points.f0, points.f90) > NEGLIGIBLE).any(axis=1) & (points.roughness**2 > WIDE_ALPHA)
+    return np.count_nonzero(wide) / max(1, len(wide))
 
 
 @inlined

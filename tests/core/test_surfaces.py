@@ -275,10 +275,14 @@ def test_glass_reflects_from_within_as_fresnel_says(ior):
         np.testing.assert_array_equal(refracted[:, layout.REFRACTION], expected < 1)
 
 
-def test_glass_that_was_entered_and_thin_walls_reflect_alike_from_both_sides():
+def test_both_sides_of_glass_let_through_what_all_ways_between_them_do_and_thin_walls_are_alike_from_both():
+    """Of smooth sides that reflect R each, (1 - R) / (1 + R) comes through and 2 R / (1 + R) is reflected."""
     cosine = np.array([0.1, 0.5, 0.9], F)
-    front = evaluate(glass(), 3, cosine=cosine)
-    np.testing.assert_array_equal(evaluate(glass(), 3, cosine=-cosine), front)
+    front, back = (evaluate(glass(), 3, cosine=c) for c in (cosine, -cosine))
+    passed = front[:, layout.TRANSPARENCY]
+    np.testing.assert_allclose(passed * back[:, layout.TRANSPARENCY], passed / (2 - passed), rtol=1e-5)
+    np.testing.assert_allclose(back[:, layout.TRANSPARENCY] + passed * back[:, layout.GLOSSY_F0], 1, rtol=1e-5)
+    np.testing.assert_array_equal(back[:, layout.GLOSSY_F0], back[:, layout.GLOSSY_F90])
     within = np.array([ops.from_within(c) for c in -cosine], F)
     wall = evaluate(glass(thin=1), 3, cosine=within)
     np.testing.assert_allclose(wall, evaluate(glass(thin=1), 3, cosine=cosine), rtol=1e-5, atol=2e-6)

@@ -276,6 +276,7 @@ def test_help_needs_no_blender():
 
 def test_modules_are_compiled_once_where_nothing_may_be_written_beside_them(tmp_path):
     environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "LUMIGATE_CACHE": str(tmp_path)}
+    environment.pop("PYTHONPYCACHEPREFIX", None)
     code = "from lumigate.headless.cli import program; program()"
     for found in (0, 1):
         assert bool(list(tmp_path.rglob("errors.*.pyc"))) == found

@@ -165,7 +165,9 @@ def window_and_mirror():
     scene = open_box()
     roof(scene, 1, material("Glass", **GLASS))
     scene.collection.objects[-1].visible_camera = False
-    quad(scene, [(-0.95, -0.9, 0), (-0.95, 0.9, 0), (-0.95, 0.9, 0.95), (-0.95, -0.9, 0.95)], material("Mirror", Metallic=1.0, Roughness=0.0))
+    quad(
+        scene, [(-0.95, -0.9, 0), (-0.95, 0.9, 0), (-0.95, 0.9, 0.95), (-0.95, -0.9, 0.95)], material("Mirror", Metallic=1.0, Roughness=0.0)
+    )
     sky(scene)
     look(scene, (0, 0, 20), (0, 0, 0), type="ORTHO", ortho_scale=1.6)
     return scene
