@@ -33,6 +33,7 @@ import numpy as np
 from .jit import inlined, kernel, leaf
 from .lamps.emission import FOR_EVER, emit
 from .lamps.links import lights
+from .lamps.lookup import ray_kind
 from .lamps.shapes import AWAY_FROM_CENTRE, falloff
 from .lamps.tables import CASTS_SHADOW, FADING, GLOSSY_ONLY, NOMINAL, RADIUS, SEEN_BY_GLOSSY, SOFT
 from .rays.offsets import hit_point, offset_origin
@@ -339,9 +340,10 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     # What comes through is seen from the other end.
                     reverse = angled or (flags & REFRACTIVE and behind and entered[lane] == OUTSIDE)
                     if reverse:
-                        evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
+                        kind = ray_kind(scene.emitters, emitter[lane], -dx, -dy, -dz) if bounce == 0 else DIFFUSE
+                        evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, kind, OUTSIDE, rows, surface)
                         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
-                    evaluate_along(scene, triangle, u, v, dx, dy, dz, entered[lane], rows, surface)
+                    evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, entered[lane], rows, surface)
                     seen = scene.object_visibility[scene.object[triangle]]
                     through = False
                     ahead = bounce > 0 or flown[lane] + t >= before[lane]
@@ -381,7 +383,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                                     whole = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
                                     scattered[lane] = uniform(seed, i, bounce, 16 + 2 * _MAX_PASSED + passed) * whole < bent
                                 if not behind:
-                                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
+                                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, DIFFUSE, OUTSIDE, rows, surface)
                                     within = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
                                     owed[lane, min(entered[lane], NESTED - 1)] = within / (tr + tg + tb)
                                 entered[lane] = passed_glass(entered[lane], behind)
@@ -441,7 +443,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         evaluate_from(scene, triangle, u, v, not behind, uniform(seed, i, bounce, 5), rows, surface)
                     tr, tg, tb = translucency_average(surface)
                     if angled:  # glossy light leaves at the angle at which it came
-                        evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
+                        evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
                     if bounce == 0 and scene.emitters.flags[emitter[lane]] & GLOSSY_ONLY:
                         dr = dg = db = tr = tg = tb = _0
                         if not fr + fg + fb > _0:

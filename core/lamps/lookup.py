@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from ..jit import inlined, leaf
-from ..scene import AREA, SUN
+from ..scene import AREA, DIFFUSE, SHADOW, SUN
 from .links import is_hidden_alike
 from .shapes import area_part, area_view, falloff, lamp_cone, spot_attenuation, spread_attenuation, triangle_view
 from .solid_angle import rectangle_angle, triangle_angle
@@ -47,6 +47,16 @@ def share_of(own, other):
     """Weight of a sample whose sampler has the density `own` where another has `other`: the power heuristic, exponent 2."""
     ratio = other / own
     return _1 / (_1 + ratio * ratio)
+
+
+@inlined
+def ray_kind(emitters, e, dx, dy, dz):
+    """What a ray of light from emitter e, which lies in the direction d, is to materials that tell rays apart: SHADOW, or DIFFUSE.
+
+    Cycles finds lamps and bright spots of the sky by shadow rays, the even sky mostly by rays that diffuse surfaces scatter.
+    """
+    even = emitters.kind[e] == WORLD and world_density(emitters.world, dx, dy, dz, dx, dy, dz) <= _1_PI
+    return DIFFUSE if even else SHADOW
 
 
 @inlined

@@ -20,6 +20,7 @@ from ..jit import inlined, kernel, leaf
 from ..lamps.direct import set_point_lobe
 from ..lamps.emission import FOR_EVER, emit, focused
 from ..lamps.links import lights
+from ..lamps.lookup import ray_kind
 from ..lamps.shapes import AWAY_FROM_CENTRE
 from ..lamps.tables import CASTS_SHADOW, FADING, ONE_MINUS_COS, RADIUS, SEEN_BY_GLOSSY
 from ..particles import BLUR, MAX_ADJOINT, NESTED, faded, reflected
@@ -173,13 +174,14 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
                     continue
             elif passes:
+                first = ray_kind(emitters, e, -dx, -dy, -dz) if lobes and not thrown else DIFFUSE
                 # What comes through is seen from the other end; a view from within a solid may be reflected totally.
                 reverse = flags & (ANGLED | REFRACTIVE) == ANGLED or (flags & REFRACTIVE != 0 and behind and fronts == 0)
                 if reverse:
-                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
+                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, first, OUTSIDE, rows, surface)
                     for c in range(3):
                         back[c], back[3 + c] = surface[TRANSPARENCY + c], surface[REFRACTION + c]
-                evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
+                evaluate_along(scene, triangle, u, v, dx, dy, dz, first if flags & REFRACTIVE else DIFFUSE, entered, rows, surface)
                 if reverse:
                     for c in range(3):
                         surface[TRANSPARENCY + c], surface[REFRACTION + c] = back[c], back[3 + c]
@@ -213,7 +215,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     if bends or (glasses > 0 and bounces < 2):
                         break
                     if not flags & TRANSPARENT:
-                        evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
+                        evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
                     if sizeless and not surface[ROUGHNESS] * surface[ROUGHNESS] > SMALLEST_ALPHA:
                         break
                     nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
@@ -275,7 +277,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     # Seen from within, as where a pane is one sheet: bent light is denser there by the square of the index, but no brighter to Cycles.
                     owes = _1 / (eta * eta)
                     if not turns:
-                        evaluate_along(scene, triangle, u, v, -ix, -iy, -iz, OUTSIDE, rows, lens)
+                        evaluate_along(scene, triangle, u, v, -ix, -iy, -iz, DIFFUSE, OUTSIDE, rows, lens)
                         owes = (lens[TRANSPARENCY] + lens[TRANSPARENCY + 1] + lens[TRANSPARENCY + 2]) / front
                     owed[min(fronts, NESTED - 1)] = owes
                     fronts += 1
