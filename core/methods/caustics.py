@@ -31,7 +31,7 @@ from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import orthonormal_basis
 from ..sampling.sequences import sobol
-from ..scene import ANGLED, DIFFUSE, POINT, REFRACTIVE, SPOT, SUN, TRANSPARENT, bounds
+from ..scene import ANGLED, DIFFUSE, POINT, REFRACTIVE, SHADOW, SPOT, SUN, TRANSPARENT, bounds
 from ..surfaces.bending import STRAIGHT_ON, bent, scattered
 from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSPARENCY, passing_chance
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value
@@ -150,6 +150,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
         thrown = mirrored = False
         narrow = _0
         ax, ay, az = dx, dy, dz  # the straight way
+        square = near * before
         x = y = z = qx = qy = qz = fx = fy = fz = flown = _0
         glasses = fronts = 0  # fronts: of them, whose backs it has not met
         entered = OUTSIDE
@@ -165,6 +166,17 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
             seen = scene.object_visibility[scene.object[triangle]]
             passes, reverse = flags & TRANSPARENT != 0, False
             receives = seen & DIFFUSE != 0 and (thrown or lights(emitters, e, scene.object, triangle))
+            if flown < before and not thrown and not flags & REFRACTIVE:
+                # On the disk of a soft lamp, of which it hides a part from what is near.
+                if seen & hides and emitters.flags[e] & CASTS_SHADOW:
+                    clear = _0
+                    if passes:
+                        evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, SHADOW, OUTSIDE, rows, surface)
+                        clear = (surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]) / np.float32(3.0)
+                    if uniform(seed, i, layer, 20) >= clear:
+                        near = max(near, square / (before - flown))
+                ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
+                continue
             if lobes and not thrown and not (seen & hides and emitters.flags[e] & CASTS_SHADOW):
                 # It is lit, and so is what lies behind it: the particle does one or the other.
                 passes = not receives or uniform(seed, i, layer, 19) < _HALF
