@@ -339,11 +339,11 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     angled = flags & (ANGLED | REFRACTIVE) == ANGLED
                     # What comes through is seen from the other end.
                     reverse = angled or (flags & REFRACTIVE and behind and entered[lane] == OUTSIDE)
+                    kind = ray_kind(scene.emitters, emitter[lane], -dx, -dy, -dz) if bounce == 0 else DIFFUSE
                     if reverse:
-                        kind = ray_kind(scene.emitters, emitter[lane], -dx, -dy, -dz) if bounce == 0 else DIFFUSE
                         evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, kind, OUTSIDE, rows, surface)
                         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
-                    evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, entered[lane], rows, surface)
+                    evaluate_along(scene, triangle, u, v, dx, dy, dz, kind if flags & REFRACTIVE else DIFFUSE, entered[lane], rows, surface)
                     seen = scene.object_visibility[scene.object[triangle]]
                     through = False
                     ahead = bounce > 0 or flown[lane] + t >= before[lane]
@@ -383,7 +383,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                                     whole = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
                                     scattered[lane] = uniform(seed, i, bounce, 16 + 2 * _MAX_PASSED + passed) * whole < bent
                                 if not behind:
-                                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, DIFFUSE, OUTSIDE, rows, surface)
+                                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, kind, OUTSIDE, rows, surface)
                                     within = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
                                     owed[lane, min(entered[lane], NESTED - 1)] = within / (tr + tg + tb)
                                 entered[lane] = passed_glass(entered[lane], behind)

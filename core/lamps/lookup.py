@@ -55,8 +55,10 @@ def ray_kind(emitters, e, dx, dy, dz):
 
     Cycles finds lamps and bright spots of the sky by shadow rays, the even sky mostly by rays that diffuse surfaces scatter.
     """
-    even = emitters.kind[e] == WORLD and world_density(emitters.world, dx, dy, dz, dx, dy, dz) <= _1_PI
-    return DIFFUSE if even else SHADOW
+    if emitters.kind[e] != WORLD:
+        return SHADOW
+    sought = emitters.world.varies and world_density(emitters.world, dx, dy, dz, dx, dy, dz) > _1_PI
+    return SHADOW if sought else DIFFUSE
 
 
 @inlined

@@ -262,7 +262,7 @@ def test_architectural_glass_is_glass_to_the_view_alone(grid, node, outputs):
     tables = compile_materials([MaterialUse(grid.materials["it"][0])]).materials.tables
     zeros, attributes = np.zeros(1, np.int32), np.zeros((1, 1, 3, 4), np.float32)
     cosine = np.float32(0.8)
-    views = [ops.specular_view(cosine, kind) for kind in (scene.CAMERA, scene.GLOSSY, scene.TRANSMISSION)] + [ops.reflected_view(cosine)]
+    views = [ops.specular_view(cosine, kind) for kind in (scene.CAMERA, scene.GLOSSY, scene.TRANSMISSION, scene.SHADOW)]
     *seen, lit = (evaluate_batch(tables, zeros, attributes, zeros, zeros, zeros, np.array([v], np.float32))[0] for v in views)
     for surface in seen:
         assert 0.9 < surface[layout.REFRACTION] == surface[layout.TRANSPARENCY] < 0.97
