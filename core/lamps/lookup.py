@@ -31,7 +31,7 @@ from .tables import (
     TRIANGLE,
     WORLD,
 )  # fmt: skip
-from .world import world_density
+from .world import world_density, world_radiance
 
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -40,6 +40,9 @@ _HALF = np.float32(0.5)
 _1_2PI = np.float32(0.5 / math.pi)
 _1_PI = np.float32(1 / math.pi)
 _INFINITY = np.float32(np.inf)
+BOTH = 0  # no kind of ray
+MEAN_COSINE = np.float32(2 / 3)  # of scattered light
+_NEARLY_ALL = np.float32(0.99)  # of a part of the sky: the rest are Cycles' sparks
 
 
 @inlined
@@ -50,15 +53,24 @@ def share_of(own, other):
 
 
 @inlined
-def ray_kind(emitters, e, dx, dy, dz):
-    """What a ray of light from emitter e, which lies in the direction d, is to materials that tell rays apart: SHADOW, or DIFFUSE.
+def sought(world, dx, dy, dz, cosine):
+    """The share of what shines along d that Cycles finds by shadow rays, where it meets a diffuse surface at `cosine`; the rest it finds by rays scattered there."""
+    r, g, b = world_radiance(world, dx, dy, dz)
+    aimed = (r + g + b) / (np.float32(12) * world.estimate[0])
+    return share_of(aimed, cosine * _1_PI) if aimed > _0 else _0
 
-    Cycles finds lamps and bright spots of the sky by shadow rays, the even sky mostly by rays that diffuse surfaces scatter.
+
+@inlined
+def ray_kind(emitters, e, dx, dy, dz):
+    """What a ray of light from emitter e, which lies in the direction d, is to materials that tell rays apart: SHADOW, DIFFUSE, or BOTH in parts.
+
+    Cycles finds lamps and suns in the sky by shadow rays, an even sky by rays that diffuse surfaces scatter, and what lies between by both.
     """
     if emitters.kind[e] != WORLD:
         return SHADOW
-    sought = emitters.world.varies and world_density(emitters.world, dx, dy, dz, dx, dy, dz) > _1_PI
-    return SHADOW if sought else DIFFUSE
+    if not (emitters.told and emitters.world.varies):
+        return DIFFUSE
+    return SHADOW if sought(emitters.world, dx, dy, dz, MEAN_COSINE) > _NEARLY_ALL else BOTH
 
 
 @inlined

@@ -186,7 +186,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
                     continue
             elif passes:
-                first = ray_kind(emitters, e, -dx, -dy, -dz) if lobes and not thrown else DIFFUSE
+                sent = lobes and not thrown and ray_kind(emitters, e, -dx, -dy, -dz) == SHADOW
+                first = SHADOW if sent else DIFFUSE
                 # What comes through is seen from the other end; a view from within a solid may be reflected totally.
                 reverse = flags & (ANGLED | REFRACTIVE) == ANGLED or (flags & REFRACTIVE != 0 and behind and fronts == 0)
                 if reverse:

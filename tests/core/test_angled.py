@@ -9,6 +9,7 @@ import pytest
 from lumigate.core import scene as sc
 from lumigate.core.lamps import build_emitters
 from lumigate.core.lamps.direct import direct_irradiance
+from lumigate.core.lamps.world import pixel_directions
 from lumigate.core.particles import trace_particles
 from lumigate.core.rays import RayScene
 from lumigate.core.surfaces import layout
@@ -127,6 +128,27 @@ def test_lamps_shine_through_what_shadow_rays_alone_pass(build):
     z = vpls.position[:, 2]
     # Half of the lamp's light falls on either, and stays on that side of the sheet.
     assert vpls.flux[z < -0.5].sum() == pytest.approx(vpls.flux[z > 1.5].sum(), rel=0.05)
+
+
+def test_of_an_uneven_sky_shadow_rays_have_their_share(build):
+    """What Cycles finds of it by rays that a diffuse surface scatters does not pass a sheet that shadow rays alone pass."""
+    height, width = 16, 32
+    d, solid_angle = pixel_directions(height, width)
+    sky = (0.2 + 3 * np.maximum(0, d @ np.array([0.6, 0, 0.8])) ** 8)[..., None] * np.ones(3)
+    materials = angled(build, SHADOW_RAY, ops.TRANSPARENT_CLOSURE, sc.TRANSPARENT | sc.TELLING)
+    geometry = build.geometry(*build.quads([(200 * x, 200 * y, 0) for x, y, _ in SHEET]))
+    emitters = build_emitters(build.scene(geometry, materials, world=sky))
+    with RayScene(geometry.vertices, geometry.triangles, transparent=geometry.material == 0) as rays:
+        ready = transport(geometry, materials.tables, rays.tables, emitters)
+        up = np.tile(F([0, 0, 1]), (64, 1))
+        points = SimpleNamespace(position=-up, ns=up, ng=up, error=np.full(64, 1e-6, F))
+        light, _ = direct_irradiance(ready, points, 256, seed=1)
+    shines, cosine = sky[..., 0], np.maximum(0, d[..., 2])
+    aimed = shines / (shines * solid_angle).sum()
+    share = aimed**2 / (aimed**2 + (cosine / math.pi) ** 2)
+    expected = (share * shines * cosine * solid_angle).sum()
+    assert 0.2 < expected / (shines * cosine * solid_angle).sum() < 0.8
+    assert light.mean() == pytest.approx(expected, rel=0.03)
 
 
 def test_a_material_that_mirrors_on_its_back_alone_is_asked(build):
