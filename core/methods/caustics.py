@@ -530,7 +530,9 @@ def _keep(scene, photons, radius, tested, begin, end, seed):
                             x, y, z, gx, gy, gz, error, photons.entry[p, 0], photons.entry[p, 1], photons.entry[p, 2], _0, _0, _0, _0
                         )  # fmt: skip
                         rays += 1
-                        met += _is_ahead(photons, p, x, y, z) and not occluded1(scene.rays, OPAQUE, packet, sx, sy, sz, dx, dy, dz, _0, _1, DIFFUSE)
+                        met += _is_ahead(photons, p, x, y, z) and not occluded1(
+                            scene.rays, OPAQUE, packet, sx, sy, sz, dx, dy, dz, _0, _1, DIFFUSE
+                        )
                     else:
                         met += 1
                 ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, -mx, -my, -mz)
