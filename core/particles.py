@@ -33,6 +33,7 @@ import numpy as np
 from .jit import inlined, kernel, leaf
 from .lamps.emission import FOR_EVER, emit
 from .lamps.links import lights
+from .lamps.lookup import BOTH, MEAN_COSINE, ray_kind, sought
 from .lamps.shapes import AWAY_FROM_CENTRE, falloff
 from .lamps.tables import CASTS_SHADOW, FADING, GLOSSY_ONLY, NOMINAL, RADIUS, SEEN_BY_GLOSSY, SOFT
 from .rays.offsets import hit_point, offset_origin
@@ -41,7 +42,7 @@ from .rays.trace import ALL, intersect_packet
 from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
-from .scene import ANGLED, DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SPOT, TRANSLUCENT, TRANSPARENT
+from .scene import ANGLED, DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SHADOW, SPOT, TELLING, TRANSLUCENT, TRANSPARENT
 from .surfaces.bumps import shadowing
 from .surfaces.layout import (
     GLOSS,
@@ -276,6 +277,9 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
     scattered = np.empty(WIDTH, np.int32)  # diffuse reflections so far, and one for the first surface in any case, and for glass before it
     lobe = np.zeros(LOBE, np.float32)
     entered = np.empty(WIDTH, np.int64)
+    kind = np.empty(WIDTH, np.int64)  # of the first flight
+    # The share of its light that shadow rays find, where half of the particles fly for these; else below 0.
+    found = np.empty(WIDTH, np.float32)
     owed = np.empty((WIDTH, NESTED), np.float32)
     n = 0
     n_rays = 0
@@ -296,6 +300,12 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
             flying[lane] = emitter[lane] >= 0 and max(r, g, b) > 0
             scattered[lane] = 0
             entered[lane] = OUTSIDE
+            kind[lane], found[lane] = DIFFUSE, -_1
+            if flying[lane]:
+                kind[lane] = ray_kind(scene.emitters, emitter[lane], -dx, -dy, -dz)
+                if kind[lane] == BOTH:
+                    found[lane] = sought(scene.emitters.world, -dx, -dy, -dz, MEAN_COSINE)
+                    kind[lane] = SHADOW if uniform(seed, i, 0, 8) < np.float32(0.5) else DIFFUSE
             square[lane] = near[lane] * before[lane]
             flown[lane] = _0
         for bounce in range(len(survivors)):
@@ -338,10 +348,13 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     angled = flags & (ANGLED | REFRACTIVE) == ANGLED
                     # What comes through is seen from the other end.
                     reverse = angled or (flags & REFRACTIVE and behind and entered[lane] == OUTSIDE)
+                    as_kind = kind[lane] if bounce == 0 else DIFFUSE
                     if reverse:
-                        evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
+                        evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, as_kind, OUTSIDE, rows, surface)
                         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
-                    evaluate_along(scene, triangle, u, v, dx, dy, dz, entered[lane], rows, surface)
+                    evaluate_along(
+                        scene, triangle, u, v, dx, dy, dz, as_kind if flags & REFRACTIVE else DIFFUSE, entered[lane], rows, surface
+                    )
                     seen = scene.object_visibility[scene.object[triangle]]
                     through = False
                     ahead = bounce > 0 or flown[lane] + t >= before[lane]
@@ -375,13 +388,20 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                             flux[lane, 1] *= tg / chance
                             flux[lane, 2] *= tb / chance
                             through = True
+                            if flags & TELLING and bounce == 0 and found[lane] >= _0:
+                                # Cycles gives each of both kinds its share, but takes the light beyond glass whole.
+                                bent = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
+                                share = found[lane] if kind[lane] == SHADOW else _1 if bent > _0 else _1 - found[lane]
+                                for c in range(3):
+                                    flux[lane, c] *= np.float32(2.0) * share
+                                found[lane] = -_1
                             if flags & REFRACTIVE:
                                 if bounce == 0 and scattered[lane] == 0:
                                     bent = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
                                     whole = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
                                     scattered[lane] = uniform(seed, i, bounce, 16 + 2 * _MAX_PASSED + passed) * whole < bent
                                 if not behind:
-                                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
+                                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, as_kind, OUTSIDE, rows, surface)
                                     within = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
                                     owed[lane, min(entered[lane], NESTED - 1)] = within / (tr + tg + tb)
                                 entered[lane] = passed_glass(entered[lane], behind)
@@ -441,7 +461,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         evaluate_from(scene, triangle, u, v, not behind, uniform(seed, i, bounce, 5), rows, surface)
                     tr, tg, tb = translucency_average(surface)
                     if angled:  # glossy light leaves at the angle at which it came
-                        evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
+                        evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
                     if bounce == 0 and scene.emitters.flags[emitter[lane]] & GLOSSY_ONLY:
                         dr = dg = db = tr = tg = tb = _0
                         if not fr + fg + fb > _0:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from .denoise import ROWS, Denoiser, channel_means, mean_factor, pull_push
 from .group_shares import shares_of
@@ -23,6 +25,7 @@ from .view.primary import View
 MIRRORED, MIRRORED_PIXELS = 0.1, 0.01  # albedo in a mirror that a denoiser goes by, and the least share of the pixels
 MOSTLY_MIRRORED = 0.04  # share of the pixels from which on a quick picture's guide is worth a denoising, too
 SHOWN, MOSTLY = 0.8, 0.98  # what the strongest lobes of a picture but for a few are to the denoiser
+AROUND = 5  # pixels along a side of what takes back light that was smeared
 MARGIN = 16  # pixels around what is denoised of a picture, which a denoiser sees, too
 LEAST_FORESEEN = np.float32(1e-6)  # of its mean: what is darker has no light to be told from noise
 LEAST_SOFT = np.float32(1e-3)  # of the mean of what has sharp shadows: less is rounding
@@ -206,9 +209,8 @@ class Picture:
             found["glossy_indirect"] = clean.glossy_indirect
         elif indirect and self.glossy_indirect.any():
             guide, is_clean = self._mirrored_guide(denoiser, threads, quality)
-            found["glossy_indirect"] = cleaned(
-                self.glossy_indirect, self._glossy_guide(guide), clean_aux=is_clean, normal=self.guide_normal
-            )
+            light = cleaned(self.glossy_indirect, self._glossy_guide(guide), clean_aux=is_clean, normal=self.guide_normal)
+            found["glossy_indirect"] = light if self.glossy_albedo is None else self._off_matt(light)
         if direct and self.direct.any():
             found["direct"] = self._direct_cleaned(cleaned, QUICKER.get(quality, quality))
         return replace(self, **found)
@@ -251,6 +253,22 @@ class Picture:
             return guide
         scale = np.float32(SHOWN / np.quantile(glossy, MOSTLY))
         return np.float32(0.5) * (guide + np.minimum(scale * self.glossy_albedo, np.float32(1)))
+
+    def _off_matt(self, light: np.ndarray) -> np.ndarray:
+        """Denoised glossy light (H, W, 3) without what lies on pixels of no lobe and no light, which the denoiser has smeared there: their neighbours get it back.
+
+        A pattern of metal and of what is none has one guide where what either reflects is alike.
+        """
+        matt = (largest(self.glossy_albedo) <= NEGLIGIBLE) & ~self.glossy_indirect.any(axis=2)
+        if not matt.any():
+            return light
+        around = partial(uniform_filter, size=(AROUND, AROUND, 1), mode="constant")
+        kept = np.where(matt[..., None], np.float32(0), light)
+        taken = light - kept
+        others = around(kept)
+        near = others > 1e-6 * light.mean()
+        share = around(np.divide(taken, others, out=np.zeros_like(light), where=near))
+        return kept * (1 + share) + np.where(near, np.float32(0), taken)
 
     def _diffuse_cleaned(self, denoiser: Denoiser, cleaned: Callable[..., np.ndarray], threads: int) -> np.ndarray:
         """The diffuse indirect light without noise: the mean of two ways to denoise it, whose errors have little in common.

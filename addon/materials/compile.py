@@ -131,12 +131,18 @@ def _link(programs: list[Program], names: list[str], textures: TexturePool, warn
                 | scene.GLOSSY_LOBE * bool(operations & _GLOSSY)
                 | scene.TRANSLUCENT * (ops.TRANSLUCENT_CLOSURE in operations)
                 | scene.ANGLED * bool(operations & _ANGLED)
+                | (scene.TELLING | scene.ANGLED) * _tells_shadow_rays(program)
             )
         flags[m] |= scene.NORMAL_MAPPED * (ops.NORMAL_MAP in operations)
     header, texels_u8, texels_f32 = textures.tables()
     instructions = np.concatenate(code)
     functions = outlined.addresses({int(op) for op in instructions[:, 0]})
     return scene.MaterialTables(instructions, np.concatenate(constants), start, flags, constant, header, texels_u8, texels_f32, functions)
+
+
+def _tells_shadow_rays(program: Program) -> bool:
+    """Whether it shows shadow rays something else than diffuse ones."""
+    return any(op == ops.VIEWED and bool(p & scene.SHADOW) != bool(p & scene.DIFFUSE) for op, _, p in program.instructions)
 
 
 def _is_frosted(program: Program) -> bool:

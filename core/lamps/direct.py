@@ -27,7 +27,7 @@ from ..rays.trace import OPAQUE, occluded1, occluded_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine, to_unit, uniform
 from ..sampling.sequences import sobol
-from ..scene import DIFFUSE, SUN
+from ..scene import DIFFUSE, SHADOW, SUN
 from ..surfaces.bumps import mean_shadowing, shadowing
 from ..surfaces.layout import EMISSION, SURFACE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count, set_lobe
@@ -40,7 +40,7 @@ from ..threads import Progress, run_chunks
 from .departures import REFLECTS, VARIED, differs, is_patterned, place_for_world, place_of, position_at, surface_at
 from .escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray, no_gather_rays
 from .links import is_hidden_alike, lights
-from .lookup import can_be_met, emitter_density, emitter_of, share_of
+from .lookup import BOTH, MEAN_COSINE, can_be_met, emitter_density, emitter_of, ray_kind, share_of, sought
 from .sample import sample_emitter
 from .seen import learn
 from .sharp import sharp_emitters
@@ -246,6 +246,26 @@ def _shadow_ray_from(scene, triangle, e, u, v, px, py, pz, gx, gy, gz, error, dx
 
 
 @leaf
+def _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, kind, entered, cosine):
+    """The `transmittance1` of a ray to an emitter, of this `ray_kind`, from a surface that it leaves at `cosine`.
+
+    Of BOTH kinds, Cycles gives each sampler its share, but what scattered rays find beyond glass it takes whole.
+    """
+    if kind != BOTH:
+        return transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, kind, entered)
+    r, g, b, clear = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, DIFFUSE, entered)
+    sr, sg, sb, shadowed = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, SHADOW, entered)
+    if clear < _0 or shadowed < _0:
+        return r, g, b, clear
+    share = sought(scene.emitters.world, dx, dy, dz, cosine)
+    own, rest, glass = share * shadowed, (_1 - share) * clear, _1 - clear
+    direct = own * (sr + sg + sb) + rest * (r + g + b)
+    whole = direct + glass * (r + g + b)
+    r, g, b = own * sr + (rest + glass) * r, own * sg + (rest + glass) * g, own * sb + (rest + glass) * b
+    return r, g, b, direct / whole if whole > _0 else _1
+
+
+@leaf
 def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered):
     """Share of light (r, g, b) of emitter e that a shadow ray lets through up to t = end, and the share of that which passed no glass.
 
@@ -256,7 +276,8 @@ def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered
         return _0, _0, _0, _1
     if not scene.emitters.cutouts:
         return _1, _1, _1, _1
-    r, g, b, clear = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, entered)
+    kind = ray_kind(scene.emitters, e, dx, dy, dz)
+    r, g, b, clear = _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, kind, entered, MEAN_COSINE)
     return r, g, b, max(_0, clear)
 
 
@@ -359,7 +380,7 @@ class _Rays(NamedTuple):
     ray: (R, 7) float32, origin, direction, end of the range; the end is below 0 where nothing may stand in the way.
     light, glossy: (R, 3) float32, what they bring if nothing does.
     point, column: (R,) int32, of the block and of the output.  turn: (R,) int32, number among the first samples of the world, gather rays after the others; -1 for the rest.
-    kinds: (R,) int64, kinds of what may stand in the way.
+    kinds: (R,) int64, kinds of what may stand in the way.  kind: (R,) int64, what it is to materials, see `ray_kind`.
     through: (R, 3) float32, the part that gets through.  clear: (R,) float32, the part of that which passed no glass.
     """
 
@@ -370,6 +391,7 @@ class _Rays(NamedTuple):
     column: np.ndarray
     turn: np.ndarray
     kinds: np.ndarray
+    kind: np.ndarray
     through: np.ndarray
     clear: np.ndarray
 
@@ -390,7 +412,7 @@ def _new_rays(n):
     f, i = np.float32, np.int32
     return _Rays(
         np.empty((n, 7), f), np.empty((n, 3), f), np.zeros((n, 3), f), np.empty(n, i), np.empty(n, i), np.empty(n, i), np.empty(n, np.int64),
-        np.empty((n, 3), f), np.empty(n, f),
+        np.empty(n, np.int64),        np.empty((n, 3), f), np.empty(n, f),
     )  # fmt: skip
 
 
@@ -563,6 +585,7 @@ def _put(scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, g, b, w, 
             scene, triangle, e, u, v, px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz, t, across
         )
     rays.point[n], rays.column[n], rays.turn[n], rays.kinds[n] = k, 3 * emitters.light_group[e], turn, emitters.shadow_kinds[e]
+    rays.kind[n] = ray_kind(emitters, e, dx, dy, dz)
     return n + 1
 
 
@@ -775,7 +798,7 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
             er, eg, eb = surface[EMISSION], surface[EMISSION + 1], surface[EMISSION + 2]
             if clear < _1:
                 _, _, _, straight = transmittance1(
-                    scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, _SHORT * t, DIFFUSE, np.int64(points.entered[i])
+                    scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, _SHORT * t, DIFFUSE, DIFFUSE, np.int64(points.entered[i])
                 )
                 if straight < _0:  # by a lens: `methods.caustics`
                     continue
@@ -816,8 +839,10 @@ def _trace(scene, packet, rows, surface, points, start, rays, n):
                     tr = tg = tb = _0
                 elif scene.emitters.cutouts:
                     entered = np.int64(points.entered[start + rays.point[j]])
-                    tr, tg, tb, clear = transmittance1(
-                        scene, packet, rows, surface, p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], rays.kinds[j], entered
+                    normal = points.ns[start + rays.point[j]]
+                    cosine = max(_0, normal[0] * p[3] + normal[1] * p[4] + normal[2] * p[5])
+                    tr, tg, tb, clear = _through(
+                        scene, packet, rows, surface, p[0], p[1], p[2], p[3], p[4], p[5], p[6], rays.kinds[j], rays.kind[j], entered, cosine
                     )
                     if clear < _0:  # a lens throws it elsewhere: `methods.caustics`
                         tr = tg = tb = _0

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from ..jit import inlined, leaf
-from ..scene import AREA, SUN
+from ..scene import AREA, DIFFUSE, SHADOW, SUN
 from .links import is_hidden_alike
 from .shapes import area_part, area_view, falloff, lamp_cone, spot_attenuation, spread_attenuation, triangle_view
 from .solid_angle import rectangle_angle, triangle_angle
@@ -31,7 +31,7 @@ from .tables import (
     TRIANGLE,
     WORLD,
 )  # fmt: skip
-from .world import world_density
+from .world import world_density, world_radiance
 
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -40,6 +40,9 @@ _HALF = np.float32(0.5)
 _1_2PI = np.float32(0.5 / math.pi)
 _1_PI = np.float32(1 / math.pi)
 _INFINITY = np.float32(np.inf)
+BOTH = 0  # no kind of ray
+MEAN_COSINE = np.float32(2 / 3)  # of scattered light
+_NEARLY_ALL = np.float32(0.99)  # of a part of the sky: the rest are Cycles' sparks
 
 
 @inlined
@@ -47,6 +50,27 @@ def share_of(own, other):
     """Weight of a sample whose sampler has the density `own` where another has `other`: the power heuristic, exponent 2."""
     ratio = other / own
     return _1 / (_1 + ratio * ratio)
+
+
+@inlined
+def sought(world, dx, dy, dz, cosine):
+    """The share of what shines along d that Cycles finds by shadow rays, where it meets a diffuse surface at `cosine`; the rest it finds by rays scattered there."""
+    r, g, b = world_radiance(world, dx, dy, dz)
+    aimed = (r + g + b) / (np.float32(12) * world.estimate[0])
+    return share_of(aimed, cosine * _1_PI) if aimed > _0 else _0
+
+
+@inlined
+def ray_kind(emitters, e, dx, dy, dz):
+    """What a ray of light from emitter e, which lies in the direction d, is to materials that tell rays apart: SHADOW, DIFFUSE, or BOTH in parts.
+
+    Cycles finds lamps and suns in the sky by shadow rays, an even sky by rays that diffuse surfaces scatter, and what lies between by both.
+    """
+    if emitters.kind[e] != WORLD:
+        return SHADOW
+    if not (emitters.told and emitters.world.varies):
+        return DIFFUSE
+    return SHADOW if sought(emitters.world, dx, dy, dz, MEAN_COSINE) > _NEARLY_ALL else BOTH
 
 
 @inlined

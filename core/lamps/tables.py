@@ -114,7 +114,7 @@ class Emitters(NamedTuple):
     emission_cdf: (E + 1,) float64, by flux.  box: (2, 3), corners of the scene's bounding box.
     focus: (K, 2, 3), corners of boxes within it where particles of sun and world count more; none: everywhere alike.
     aim: (4,), centre and radius of a sphere to which emitters far off send more of their particles, radius 0 for none.
-    cutouts: whether anything in the scene lets light through.
+    cutouts: whether anything in the scene lets light through.  told: whether what does so may be TELLING.
     light_group: (E,) int32, object_light_group: (O,) int32: the light group of each emitter, and of each object's triangles.
     receivers: (E,) int32, the set of objects that an emitter which is LINKED lights, receiver_sets: (K, O) uint8, 1 for those of each set.
     shadow_kinds: (E,) int64, the kind of its shadow rays, which meet what hides it.
@@ -141,6 +141,7 @@ class Emitters(NamedTuple):
     focus: np.ndarray
     aim: np.ndarray
     cutouts: bool
+    told: bool
     light_group: np.ndarray
     object_light_group: np.ndarray
     light_groups: int

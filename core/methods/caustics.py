@@ -20,6 +20,7 @@ from ..jit import inlined, kernel, leaf
 from ..lamps.direct import set_point_lobe
 from ..lamps.emission import FOR_EVER, emit, focused
 from ..lamps.links import lights
+from ..lamps.lookup import ray_kind
 from ..lamps.shapes import AWAY_FROM_CENTRE
 from ..lamps.tables import CASTS_SHADOW, FADING, ONE_MINUS_COS, RADIUS, SEEN_BY_GLOSSY
 from ..particles import BLUR, MAX_ADJOINT, NESTED, faded, reflected
@@ -30,7 +31,7 @@ from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import orthonormal_basis
 from ..sampling.sequences import sobol
-from ..scene import ANGLED, DIFFUSE, METAL, POINT, REFRACTIVE, SPOT, SUN, TRANSPARENT, bounds
+from ..scene import ANGLED, DIFFUSE, METAL, POINT, REFRACTIVE, SHADOW, SPOT, SUN, TRANSPARENT, bounds
 from ..surfaces.bending import STRAIGHT_ON, bent, scattered
 from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSPARENCY, passing_chance
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value
@@ -151,6 +152,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
         thrown = metal = False
         narrow = _0
         ax, ay, az = dx, dy, dz  # the straight way
+        square = near * before
         x = y = z = qx = qy = qz = fx = fy = fz = flown = _0
         glasses = fronts = 0  # fronts: of them, whose backs it has not met
         entered = OUTSIDE
@@ -166,6 +168,17 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
             seen = scene.object_visibility[scene.object[triangle]]
             passes, reverse = flags & TRANSPARENT != 0, False
             receives = seen & DIFFUSE != 0 and (thrown or lights(emitters, e, scene.object, triangle))
+            if flown < before and not thrown and not flags & REFRACTIVE:
+                # On the disk of a soft lamp, of which it hides a part from what is near.
+                if seen & hides and emitters.flags[e] & CASTS_SHADOW:
+                    clear = _0
+                    if passes:
+                        evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, SHADOW, OUTSIDE, rows, surface)
+                        clear = (surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]) / np.float32(3.0)
+                    if uniform(seed, i, layer, 20) >= clear:
+                        near = max(near, square / (before - flown))
+                ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
+                continue
             if lobes and not thrown and not (seen & hides and emitters.flags[e] & CASTS_SHADOW):
                 # It is lit, and so is what lies behind it: the particle does one or the other.
                 passes = not receives or uniform(seed, i, layer, 19) < _HALF
@@ -175,13 +188,15 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
                     continue
             elif passes:
+                sent = lobes and not thrown and ray_kind(emitters, e, -dx, -dy, -dz) == SHADOW
+                first = SHADOW if sent else DIFFUSE
                 # What comes through is seen from the other end; a view from within a solid may be reflected totally.
                 reverse = flags & (ANGLED | REFRACTIVE) == ANGLED or (flags & REFRACTIVE != 0 and behind and fronts == 0)
                 if reverse:
-                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, OUTSIDE, rows, surface)
+                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, first, OUTSIDE, rows, surface)
                     for c in range(3):
                         back[c], back[3 + c] = surface[TRANSPARENCY + c], surface[REFRACTION + c]
-                evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface)
+                evaluate_along(scene, triangle, u, v, dx, dy, dz, first if flags & REFRACTIVE else DIFFUSE, entered, rows, surface)
                 if reverse:
                     for c in range(3):
                         surface[TRANSPARENCY + c], surface[REFRACTION + c] = back[c], back[3 + c]
@@ -215,7 +230,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     if bends or (glasses > 0 and bounces < 2):
                         break
                     if not flags & TRANSPARENT:
-                        evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
+                        evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
                     if sizeless and not surface[ROUGHNESS] * surface[ROUGHNESS] > SMALLEST_ALPHA:
                         break
                     nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
@@ -277,7 +292,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     # Seen from within, as where a pane is one sheet: bent light is denser there by the square of the index, but no brighter to Cycles.
                     owes = _1 / (eta * eta)
                     if not turns:
-                        evaluate_along(scene, triangle, u, v, -ix, -iy, -iz, OUTSIDE, rows, lens)
+                        evaluate_along(scene, triangle, u, v, -ix, -iy, -iz, DIFFUSE, OUTSIDE, rows, lens)
                         owes = (lens[TRANSPARENCY] + lens[TRANSPARENCY + 1] + lens[TRANSPARENCY + 2]) / front
                     owed[min(fronts, NESTED - 1)] = owes
                     fronts += 1
@@ -477,57 +492,66 @@ def _is_ahead(photons, p, x, y, z):
     return photons.facing[p, 0] * dx + photons.facing[p, 1] * dy + photons.facing[p, 2] * dz >= _0
 
 
+@leaf
+def _met(scene, packet, photons, p, r, turn, tested, seed):
+    """How many of `RAYS_A_DISK` rays through the disk of photon p, of radius r, meet what it lights there; and the rays traced."""
+    mx, my, mz = photons.normal[p, 0], photons.normal[p, 1], photons.normal[p, 2]
+    tx, ty, tz, bx, by, bz = orthonormal_basis(mx, my, mz)
+    thick = _THICK * r
+    met = rays = 0
+    for k in range(RAYS_A_DISK):
+        # Spread as Epanechnikov's kernel is; down through all that the light reaches.
+        u = (np.float32(k) + uniform(seed, p, k, 1)) / np.float32(RAYS_A_DISK)
+        away = r * np.float32(math.sqrt(_1 - math.sqrt(_1 - u)))
+        angle = np.float32(2 * math.pi) * (turn + _GOLDEN * np.float32(k))
+        a, b = away * np.float32(math.cos(angle)), away * np.float32(math.sin(angle))
+        high = min(thick, np.float32(math.sqrt(r * r - away * away)))
+        ox, oy, oz = (
+            photons.position[p, 0] + a * tx + b * bx + high * mx,
+            photons.position[p, 1] + a * ty + b * by + high * my,
+            photons.position[p, 2] + a * tz + b * bz + high * mz,
+        )
+        far = _2 * high
+        for layer in range(_LAYERS):
+            triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, -mx, -my, -mz, _0, far, DIFFUSE)
+            rays += 1
+            if triangle < 0:
+                break
+            x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
+            along = gx * mx + gy * my + gz * mz
+            # Triangles beside the photon's may turn the other way.  What lies below the first of them is a back, or seen from where the light comes.
+            if abs(along) >= _ALIKE and (tested or layer == 0 or photons.side[p] * along > _0):
+                if tested:
+                    if along < _0:
+                        gx, gy, gz = -gx, -gy, -gz
+                    sx, sy, sz, dx, dy, dz = shadow_segment(
+                        x, y, z, gx, gy, gz, error, photons.entry[p, 0], photons.entry[p, 1], photons.entry[p, 2], _0, _0, _0, _0
+                    )  # fmt: skip
+                    rays += 1
+                    met += _is_ahead(photons, p, x, y, z) and not occluded1(
+                        scene.rays, OPAQUE, packet, sx, sy, sz, dx, dy, dz, _0, _1, DIFFUSE
+                    )
+                else:
+                    met += 1
+            ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, -mx, -my, -mz)
+            far -= t
+            if not far > _0:
+                break
+    return met, rays
+
+
 @kernel
 def _keep(scene, photons, radius, tested, begin, end, seed):
     """Makes up for what of the disks of the photons begin..end-1 lies beyond edges and in corners, by a few rays through each; the rays traced."""
     packet = new_packet()
     rays = 0
     for p in range(begin, end):
-        mx, my, mz = photons.normal[p, 0], photons.normal[p, 1], photons.normal[p, 2]
-        tx, ty, tz, bx, by, bz = orthonormal_basis(mx, my, mz)
         r = radius[p]
+        turn = uniform(seed, p, 0, 0)
+        met = 0
         for attempt in range(_SMALLER):
-            thick = _THICK * r
-            turn = uniform(seed, p, 0, 0)
-            met = 0
-            for k in range(RAYS_A_DISK):
-                # Spread as Epanechnikov's kernel is; down through all that the light reaches.
-                u = (np.float32(k) + uniform(seed, p, k, 1)) / np.float32(RAYS_A_DISK)
-                away = r * np.float32(math.sqrt(_1 - math.sqrt(_1 - u)))
-                angle = np.float32(2 * math.pi) * (turn + _GOLDEN * np.float32(k))
-                a, b = away * np.float32(math.cos(angle)), away * np.float32(math.sin(angle))
-                high = min(thick, np.float32(math.sqrt(r * r - away * away)))
-                ox, oy, oz = (
-                    photons.position[p, 0] + a * tx + b * bx + high * mx,
-                    photons.position[p, 1] + a * ty + b * by + high * my,
-                    photons.position[p, 2] + a * tz + b * bz + high * mz,
-                )
-                far = _2 * high
-                for layer in range(_LAYERS):
-                    triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, -mx, -my, -mz, _0, far, DIFFUSE)
-                    rays += 1
-                    if triangle < 0:
-                        break
-                    x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
-                    along = gx * mx + gy * my + gz * mz
-                    # Triangles beside the photon's may turn the other way.  What lies below the first of them is a back, or seen from where the light comes.
-                    if abs(along) >= _ALIKE and (tested or layer == 0 or photons.side[p] * along > _0):
-                        if tested:
-                            if along < _0:
-                                gx, gy, gz = -gx, -gy, -gz
-                            sx, sy, sz, dx, dy, dz = shadow_segment(
-                                x, y, z, gx, gy, gz, error, photons.entry[p, 0], photons.entry[p, 1], photons.entry[p, 2], _0, _0, _0, _0
-                            )  # fmt: skip
-                            rays += 1
-                            met += _is_ahead(photons, p, x, y, z) and not occluded1(
-                                scene.rays, OPAQUE, packet, sx, sy, sz, dx, dy, dz, _0, _1, DIFFUSE
-                            )
-                        else:
-                            met += 1
-                    ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, -mx, -my, -mz)
-                    far -= t
-                    if not far > _0:
-                        break
+            met, traced = _met(scene, packet, photons, p, r, turn, tested, seed)
+            rays += traced
             if 2 * met >= RAYS_A_DISK or attempt + 1 == _SMALLER:
                 break
             r *= _HALF  # most of it would be lost: on something small, or beside an edge

@@ -283,7 +283,7 @@ def _gathered(
         if veiled and encloses(scene.materials.flags[scene.material[triangle]], behind):
             sheen = _0
         if not veiled:
-            evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
+            evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
         sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
         if sx * gx + sy * gy + sz * gz < 0:
@@ -344,7 +344,7 @@ def _trace_lights(scene, packet, rows, surface, cutouts, by_view, points, vpls, 
             r, g, b, _ = transmittance1(
                 scene, packet, rows, surface,
                 f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
-                f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane], _0, _1, DIFFUSE, OUTSIDE,
+                f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane], _0, _1, DIFFUSE, DIFFUSE, OUTSIDE,
             )  # fmt: skip
             if not is_ahead(vpls, j, points.position[k, 0], points.position[k, 1], points.position[k, 2]):
                 r = g = b = _0

@@ -168,7 +168,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                     if triangle < 0:
                         continue
                 else:
-                    evaluate_along(scene, triangle, u, v, dx, dy, dz, OUTSIDE, rows, surface)
+                    evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
                 x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
                 sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                 sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)

@@ -50,10 +50,10 @@ _BECKMANN_ROUGHNESS = F(0.9124)
 
 # Added to |cosine| where not the camera looks, but light that is reflected on (see `program.reflected_view`).
 REFLECTED = F(4)
-# Added instead where the camera looks by way of a mirror or through glass (see `program.specular_view`).
-MIRRORED, TRANSMITTED = F(5.5), F(6.75)
+# Added instead for a lamp's shadow ray, and where the camera looks by way of a mirror or through glass (see `program.specular_view`).
+SHADOWED, MIRRORED, TRANSMITTED = F(5.25), F(6.5), F(7.75)
 # Added as well where the back of glass is seen by a view that began within it (see `program.from_within`).
-WITHIN = F(8)
+WITHIN = F(9)
 
 
 @inlined
@@ -376,17 +376,17 @@ def view_cosine(cosine):
         return c
     if c < REFLECTED:
         return F(2 / 3)
-    return min(c - (TRANSMITTED if c >= TRANSMITTED else MIRRORED if c >= MIRRORED else REFLECTED), F(1))
+    return min(c - (TRANSMITTED if c >= TRANSMITTED else MIRRORED if c >= MIRRORED else SHADOWED if c >= SHADOWED else REFLECTED), F(1))
 
 
 @inlined
 def view_rays(cosine):
-    """Kinds of rays, as bits, whose view `program.evaluate`'s argument may be: light that is reflected on is looked for by several."""
+    """The kind of rays, as a bit, whose view `program.evaluate`'s argument is."""
     c = abs(cosine)
     c = c - WITHIN if c >= WITHIN else c
     if c <= F(1):
         return CAMERA
-    return TRANSMISSION if c >= TRANSMITTED else GLOSSY if c >= MIRRORED else DIFFUSE_RAY | SHADOW
+    return TRANSMISSION if c >= TRANSMITTED else GLOSSY if c >= MIRRORED else SHADOW if c >= SHADOWED else DIFFUSE_RAY
 
 
 @inlined

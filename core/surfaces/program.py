@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from ..scene import CONSTANT, COVERED, GLOSSY, TRANSMISSION, MaterialTables, Scene
+from ..scene import CONSTANT, COVERED, GLOSSY, SHADOW, TRANSMISSION, MaterialTables, Scene
 from . import bumps, closures, footprint, outlined, textures
 from .colors import luminance
 from .covers import blacken, is_covered
@@ -116,8 +116,9 @@ def reflected_view(cosine):
 
 @inlined
 def specular_view(cosine, kind):
-    """What `evaluate` takes for a view of the camera's by way of a mirror (`kind` GLOSSY) or through glass (TRANSMISSION); else the cosine."""
+    """What `evaluate` takes for a view of the camera's by way of a mirror (`kind` GLOSSY) or through glass (TRANSMISSION), or a lamp's (SHADOW); else the cosine."""
     offset = closures.TRANSMITTED if kind == TRANSMISSION else closures.MIRRORED if kind == GLOSSY else F(0)
+    offset = closures.SHADOWED if kind == SHADOW else offset
     return cosine - offset if cosine < F(0) else cosine + offset
 
 
@@ -136,7 +137,7 @@ def evaluate(tables, material, attributes, triangle, u, v, cosine, rows, surface
 
     tables: MaterialTables.  attributes: (K, T, 3, 4).  (u, v): barycentric, weights of corners 1 and 2.
     cosine: of the camera's view with the shading normal, below 0 where the back of the triangle is seen;
-        `specular_view` of it by way of mirrors and glass, `reflected_view` for any other view; MEAN_VIEW for the mean over those of the
+        `specular_view` of it by way of mirrors and glass and for shadow rays, `reflected_view` for any other view; MEAN_VIEW for the mean over those of the
         front, -MEAN_VIEW of the back; see also `from_within`.
     rows: from `new_registers`.
     """

@@ -31,8 +31,8 @@ OUTSIDE = np.int64(0)  # solids that a path has entered which was scattered just
 
 
 @inlined
-def _evaluate_along(scene, triangle, u, v, dx, dy, dz, kinds, entered, rows, surface):
-    """`evaluate_along` for a ray of these kinds, which also returns the shading normal (unit; 0 where the view does not matter) and whether the back of glass is seen."""
+def _evaluate_along(scene, triangle, u, v, dx, dy, dz, kind, entered, rows, surface):
+    """`evaluate_along`, which also returns the shading normal (unit; 0 where the view does not matter) and whether the back of glass is seen."""
     material = scene.material[triangle]
     flags = scene.materials.flags[material]
     cosine = np.float32(MEAN_VIEW)
@@ -44,7 +44,7 @@ def _evaluate_along(scene, triangle, u, v, dx, dy, dz, kinds, entered, rows, sur
         cosine = min(_1, abs(nx * dx + ny * dy + nz * dz) / length)
         behind = sees_back(scene.vertices, scene.triangles, triangle, dx, dy, dz)
         cosine = -cosine if behind else cosine
-        cosine = specular_view(cosine, GLOSSY) if kinds == GLOSSY else reflected_view(cosine)
+        cosine = reflected_view(cosine) if kind == DIFFUSE else specular_view(cosine, kind)
         behind = behind and flags & REFRACTIVE != 0
         if behind and entered == 0:
             cosine = from_within(cosine)
@@ -53,12 +53,12 @@ def _evaluate_along(scene, triangle, u, v, dx, dy, dz, kinds, entered, rows, sur
 
 
 @leaf
-def evaluate_along(scene, triangle, u, v, dx, dy, dz, entered, rows, surface):
+def evaluate_along(scene, triangle, u, v, dx, dy, dz, kind, entered, rows, surface):
     """The surface that a ray meets, into `surface`: glass and ANGLED materials at the ray's angle, all others as the mean over the views.
 
-    entered: how many solids of glass the ray has entered.
+    kind: what the ray is to the material: DIFFUSE, GLOSSY or SHADOW.  entered: how many solids of glass it has entered.
     """
-    _evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, entered, rows, surface)
+    _evaluate_along(scene, triangle, u, v, dx, dy, dz, kind, entered, rows, surface)
 
 
 @leaf
@@ -100,11 +100,12 @@ def is_lens(glasses, x, y, z, dx, dy, dz):
 
 
 @leaf
-def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near, t_far, kinds, entered):
+def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near, t_far, kinds, kind, entered):
     """Transmittance (r, g, b) of the transparent triangles along one segment, and the share of it that passed no glass: -1 where a lens is in the way.
 
     For segments that the OPAQUE set does not block.  packet, rows, surface: scratch (`new_packet`,
     `new_registers`, (SURFACE,) float32); the packet's lanes stay as they are.  The segment begins where the light arrives.
+    kinds: of rays, as bits, that what is in the way must be seen by.  kind: what the ray is to materials (see `evaluate_along`).
     entered: solids of glass that the path has entered before.
     """
     r = g = b = clear = _1
@@ -115,7 +116,7 @@ def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near,
         triangle, t, u, v = intersect1(scene.rays, CUTOUT, packet, ox, oy, oz, dx, dy, dz, start, t_far, kinds)
         if triangle < 0:
             return r, g, b, -_1 if is_lens(glasses, x, y, z, dx, dy, dz) else clear
-        nx, ny, nz, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, kinds, entered, rows, surface)
+        nx, ny, nz, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, kind, entered, rows, surface)
         r *= surface[TRANSPARENCY]
         g *= surface[TRANSPARENCY + 1]
         b *= surface[TRANSPARENCY + 2]
@@ -158,7 +159,7 @@ def shadow_packet(scene, packet, rows, surface, count, kinds, cutouts, transmitt
                 scene, packet, rows, surface,
                 f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
                 f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane],
-                f[T_NEAR * WIDTH + lane], end[lane], kinds, OUTSIDE,
+                f[T_NEAR * WIDTH + lane], end[lane], kinds, DIFFUSE, OUTSIDE,
             )  # fmt: skip
 
 
@@ -176,7 +177,7 @@ def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach,
         triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, dx, dy, dz, start, reach, kinds)
         if triangle < 0:
             return -1, _0, _0, reach, r, g, b, clear, entered
-        _, _, _, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, kinds, entered, rows, surface)
+        _, _, _, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, GLOSSY if kinds == GLOSSY else DIFFUSE, entered, rows, surface)
         within = entered if behind else OUTSIDE
         flags = scene.materials.flags[scene.material[triangle]]
         if not flags & TRANSPARENT:

@@ -215,15 +215,16 @@ def test_light_path_tells_the_camera_from_reflected_light(grid, node):
 @pytest.mark.parametrize(
     ("output", "expected"),
     [
-        ("Is Camera Ray", (1, 0, 0, 0)),
-        ("Is Glossy Ray", (0, 1, 0, 0)),
-        ("Is Transmission Ray", (0, 0, 1, 0)),
-        ("Is Diffuse Ray", (0, 0, 0, 1)),
-        ("Is Reflection Ray", (0, 1, 0, 1)),  # to Cycles, what leaves a diffuse surface is reflected, too
+        ("Is Camera Ray", (1, 0, 0, 0, 0)),
+        ("Is Glossy Ray", (0, 1, 0, 0, 0)),
+        ("Is Transmission Ray", (0, 0, 1, 0, 0)),
+        ("Is Diffuse Ray", (0, 0, 0, 0, 1)),
+        ("Is Shadow Ray", (0, 0, 0, 1, 0)),
+        ("Is Reflection Ray", (0, 1, 0, 0, 1)),  # to Cycles, what leaves a diffuse surface is reflected, too
     ],
 )
 def test_light_path_tells_rays_apart(grid, node, output, expected):
-    """Seen by the camera, in a mirror, through glass, and by diffuse light."""
+    """Seen by the camera, in a mirror, through glass, by a lamp, and by diffuse light."""
 
     def ray(tree):
         return tree.nodes.new("ShaderNodeLightPath").outputs[output]
@@ -231,7 +232,8 @@ def test_light_path_tells_rays_apart(grid, node, output, expected):
     grid.add("it", _surface(node, "ShaderNodeEmission", inputs={"Strength": ray}))
     tables = compile_materials([MaterialUse(grid.materials["it"][0])]).materials.tables
     zeros, attributes, cosine = np.zeros(1, np.int32), np.zeros((1, 1, 3, 4), np.float32), np.float32(0.8)
-    views = [ops.specular_view(cosine, kind) for kind in (scene.CAMERA, scene.GLOSSY, scene.TRANSMISSION)] + [ops.reflected_view(cosine)]
+    kinds = (scene.CAMERA, scene.GLOSSY, scene.TRANSMISSION, scene.SHADOW)
+    views = [ops.specular_view(cosine, kind) for kind in kinds] + [ops.reflected_view(cosine)]
     seen = [evaluate_batch(tables, zeros, attributes, zeros, zeros, zeros, np.array([view], np.float32))[0] for view in views]
     assert tuple(surface[layout.EMISSION] for surface in seen) == expected
 
@@ -260,7 +262,7 @@ def test_architectural_glass_is_glass_to_the_view_alone(grid, node, outputs):
     tables = compile_materials([MaterialUse(grid.materials["it"][0])]).materials.tables
     zeros, attributes = np.zeros(1, np.int32), np.zeros((1, 1, 3, 4), np.float32)
     cosine = np.float32(0.8)
-    views = [ops.specular_view(cosine, kind) for kind in (scene.CAMERA, scene.GLOSSY, scene.TRANSMISSION)] + [ops.reflected_view(cosine)]
+    views = [ops.specular_view(cosine, kind) for kind in (scene.CAMERA, scene.GLOSSY, scene.TRANSMISSION, scene.SHADOW)]
     *seen, lit = (evaluate_batch(tables, zeros, attributes, zeros, zeros, zeros, np.array([v], np.float32))[0] for v in views)
     for surface in seen:
         assert 0.9 < surface[layout.REFRACTION] == surface[layout.TRANSPARENCY] < 0.97

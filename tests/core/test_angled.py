@@ -1,12 +1,15 @@
 """Materials whose nodes ask for the side or the angle of a view: each ray sees them as it meets them."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from lumigate.core import scene as sc
 from lumigate.core.lamps import build_emitters
+from lumigate.core.lamps.direct import direct_irradiance
+from lumigate.core.lamps.world import pixel_directions
 from lumigate.core.particles import trace_particles
 from lumigate.core.rays import RayScene
 from lumigate.core.surfaces import layout
@@ -21,6 +24,7 @@ SHEET = [(-4, -4, 0), (4, -4, 0), (4, 4, 0), (-4, 4, 0)]
 IOR = 1.45
 SIDED = [(ops.BACKFACING, 0, R, R, R, R, R, 0)]
 FRESNEL = [(ops.FRESNEL, 0, R + 2, R, R, R, R, 0)]
+SHADOW_RAY = [(ops.VIEWED, 0, R, R, R, R, R, sc.SHADOW)]
 FACING = [(ops.FACING, 0, R + 1, R, R, R, R, 0)]
 
 
@@ -62,7 +66,7 @@ def test_each_ray_sees_its_side_and_angle(build, name, cosine, down):
     d = 3.0 * np.array([math.sqrt(1 - cosine**2), 0, -cosine if down else cosine])  # of any length
     with RayScene(scene.geometry.vertices, scene.geometry.triangles) as rays:
         tables = transport(scene.geometry, scene.materials.tables, rays.tables, build_emitters(scene))
-        evaluate_along(tables, np.int32(0), F(0.2), F(0.3), *map(F, d), OUTSIDE, rows, surface)
+        evaluate_along(tables, np.int32(0), F(0.2), F(0.3), *map(F, d), sc.DIFFUSE, OUTSIDE, rows, surface)
     np.testing.assert_allclose(surface[layout.TRANSPARENCY : layout.TRANSPARENCY + 3], expected(down, cosine), atol=1e-4)
 
 
@@ -99,6 +103,52 @@ def test_lights_have_the_mean_of_what_their_side_sends(build, name, down):
     mean = np.mean([expected(down, c) for c in cosine])
     sent = build_emitters(scene).flux[0, 0] / 2  # half of it meets the sheet
     assert vpls.flux[:, 0].sum(dtype=float) == pytest.approx(mean * sent, rel=0.02, abs=1e-6)
+
+
+def test_lamps_shine_through_what_shadow_rays_alone_pass(build):
+    """A sheet between a lamp and a floor: the lamp lights the floor, whose light is kept from a ceiling above the sheet."""
+    materials = angled(build, SHADOW_RAY, ops.TRANSPARENT_CLOSURE, sc.TRANSPARENT)
+    white = build.materials((0.0, 0.0), (0.8, 0.0)).tables
+    tables = materials.tables._replace(
+        start=np.array([1, 0], np.int32), flags=np.array([materials.tables.flags[0], sc.CONSTANT], np.int32), constant=white.constant
+    )
+    floor, ceiling = ([(20 * x, 20 * y, z) for x, y, _ in corners] for z, corners in ((-1, SHEET), (2, SHEET[::-1])))
+    geometry = build.geometry(
+        *build.quads([(20 * x, 20 * y, 0) for x, y, _ in SHEET], floor, ceiling), material=np.array([0, 0, 1, 1, 1, 1], np.int32)
+    )
+    lamp = build.lamp(sc.POINT, 1.0, position=(0, 0, 1))
+    emitters = build_emitters(build.scene(geometry, sc.Materials(["sheet", "walls"], tables), lamps=lamp))
+    with RayScene(geometry.vertices, geometry.triangles, transparent=geometry.material == 0) as rays:
+        ready = transport(geometry, tables, rays.tables, emitters)
+        vpls, _ = trace_particles(ready, 4000, 2, seed=1, threads=1)
+        up = np.array([[0, 0, 1]], np.float32)
+        point = SimpleNamespace(position=np.array([[0, 0, -1]], np.float32), ns=up, ng=up, error=np.full(1, 1e-6, np.float32))
+        light, _ = direct_irradiance(ready, point, 4, seed=1)
+    np.testing.assert_allclose(light, 1 / 2**2, rtol=0.01)  # W/m^2, 2 m below the lamp
+    z = vpls.position[:, 2]
+    # Half of the lamp's light falls on either, and stays on that side of the sheet.
+    assert vpls.flux[z < -0.5].sum() == pytest.approx(vpls.flux[z > 1.5].sum(), rel=0.05)
+
+
+def test_of_an_uneven_sky_shadow_rays_have_their_share(build):
+    """What Cycles finds of it by rays that a diffuse surface scatters does not pass a sheet that shadow rays alone pass."""
+    height, width = 16, 32
+    d, solid_angle = pixel_directions(height, width)
+    sky = (0.2 + 3 * np.maximum(0, d @ np.array([0.6, 0, 0.8])) ** 8)[..., None] * np.ones(3)
+    materials = angled(build, SHADOW_RAY, ops.TRANSPARENT_CLOSURE, sc.TRANSPARENT | sc.TELLING)
+    geometry = build.geometry(*build.quads([(200 * x, 200 * y, 0) for x, y, _ in SHEET]))
+    emitters = build_emitters(build.scene(geometry, materials, world=sky))
+    with RayScene(geometry.vertices, geometry.triangles, transparent=geometry.material == 0) as rays:
+        ready = transport(geometry, materials.tables, rays.tables, emitters)
+        up = np.tile(F([0, 0, 1]), (64, 1))
+        points = SimpleNamespace(position=-up, ns=up, ng=up, error=np.full(64, 1e-6, F))
+        light, _ = direct_irradiance(ready, points, 256, seed=1)
+    shines, cosine = sky[..., 0], np.maximum(0, d[..., 2])
+    aimed = shines / (shines * solid_angle).sum()
+    share = aimed**2 / (aimed**2 + (cosine / math.pi) ** 2)
+    expected = (share * shines * cosine * solid_angle).sum()
+    assert 0.2 < expected / (shines * cosine * solid_angle).sum() < 0.8
+    assert light.mean() == pytest.approx(expected, rel=0.03)
 
 
 def test_a_material_that_mirrors_on_its_back_alone_is_asked(build):

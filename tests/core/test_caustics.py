@@ -182,16 +182,22 @@ def test_nothing_shines_through_walls(build):
     assert found[:, 0].sum() * PITCH**2 == pytest.approx(1, rel=0.05)
 
 
-def test_what_lobes_reflect_is_the_light_of_the_virtual_lights(build):
+@pytest.mark.parametrize("wide", [False, True])
+def test_what_lobes_reflect_is_the_light_of_the_virtual_lights(build, wide):
+    """In a closed room; the disk of the wide lamp is cut by a sheet, which hides no half of it from what is far."""
     below, above = square(build, 2), build.quads([(-2, -2, 2), (-2, 2, 2), (2, 2, 2), (2, -2, 2)])
     sides = [build.quads([(-2, y, 0), (2, y, 0), (2, y, 2), (-2, y, 2)][::turn]) for y, turn in ((-2, -1), (2, 1))] + [
         build.quads([(x, -2, 0), (x, 2, 0), (x, 2, 2), (x, -2, 2)][::turn]) for x, turn in ((-2, 1), (2, -1))
     ]
-    lamp = build.lamps(build.lamp(sc.POINT, 5.0, position=(0.3, 0.2, 0.7), radius=0.1))
+    sheet = [build.quads([(0.3, -1, 0.3), (0.3, 1, 0.3), (0.3, 1, 1.7), (0.3, -1, 1.7)])] if wide else []
+    stuff = build.glossy_materials((0.5, 0.5), (0.5, 0.0), albedo=0.3, roughness=0.3)
+    if wide:
+        stuff.tables.constant[1, GLOSSY_F0 : GLOSSY_F0 + 3] = stuff.tables.constant[1, GLOSSY_F90 : GLOSSY_F90 + 3] = 0
+        stuff.tables.flags[1] &= ~sc.GLOSSY_LOBE
+    lamp = build.lamps(build.lamp(sc.POINT, 5.0, position=(0.3, 0.2, 0.7), radius=0.25 if wide else 0.1))
+    lamp.soft_falloff[:] = wide
     with ExitStack() as stack:
-        scene = tables_of(
-            build, stack, below, above, *sides, lamps=lamp, materials=build.glossy_materials((0.5, 0.5), albedo=0.3, roughness=0.3)
-        )
+        scene = tables_of(build, stack, below, above, *sides, *sheet, lamps=lamp, materials=stuff, of_last=int(wide))
         photons, _ = trace_photons(scene, np.float32([(-2, -2, 0), (2, 2, 2)]), 20000, 1 << 17, 4, seed=1, threads=2, lobes=True)
         vpls, _ = trace_by_power(scene, 1 << 15, 1, seed=2)
     shines = vpls.take(vpls.shine == SHINE)

@@ -174,6 +174,24 @@ class Recorder:
         return np.zeros_like(guide)
 
 
+class Blurring(Recorder):
+    """A denoiser that makes pictures even."""
+
+    def denoise(self, image, albedo, normal, **options):
+        return np.broadcast_to(image.mean(axis=(0, 1)), image.shape).astype(np.float32)
+
+
+def test_glossy_light_is_not_smeared_onto_what_is_matt():
+    """A board of metal and matt squares of a pixel, whose guides are alike."""
+    one, zero = np.ones((40, 60, 3), np.float32), np.zeros((40, 60, 3), np.float32)
+    metal = (np.indices(one.shape[:2]).sum(axis=0) % 2)[..., None] * one
+    picture = Picture(zero, one, 2 * metal, zero, one - metal, one, one, one, one, zero, zero[..., 0], glossy_albedo=metal)
+    light = picture.denoised(Blurring(), 1).glossy_indirect
+    assert not light[metal == 0].any()
+    np.testing.assert_allclose(light[4:-4, 4:-4][metal[4:-4, 4:-4] > 0], 2, rtol=0.1)
+    assert light.mean() == pytest.approx(1, rel=1e-4)
+
+
 def mirrored(rows, columns):
     """A picture in which rays from lobes met an albedo of 1/2 in a mirror of so many pixels, where it has none itself."""
     one, zero = np.ones((100, 100, 3), np.float32), np.zeros((100, 100, 3), np.float32)

@@ -179,6 +179,7 @@ _RAYS = {
     "Is Diffuse Ray": DIFFUSE,
     "Is Glossy Ray": GLOSSY,
     "Is Reflection Ray": DIFFUSE | GLOSSY,
+    "Is Shadow Ray": SHADOW,
     "Is Singular Ray": GLOSSY | TRANSMISSION,
     "Is Transmission Ray": TRANSMISSION,
     "Ray Length": _ANY,
@@ -191,32 +192,14 @@ _RAYS = {
 
 @value("ShaderNodeLightPath")
 def light_path(node: NodeInput, output: str) -> Value:
-    """Light Path, which tells the rays that the camera's view takes by mirrors and through glass; all light that is reflected on is diffuse."""
+    """Light Path, which tells the rays that the camera's view takes by mirrors and through glass, and lamps' shadow rays; all light that is reflected on is diffuse."""
     if node.context.is_lamp:  # for whose light Cycles runs them without a kind of ray
         if "Is " in output:
             return ZERO
         raise Unsupported(f"node '{node.node.name}' reads the output '{output}' of Light Path")
     rays = _RAYS.get(output, 0)
-    if output == "Is Shadow Ray" and _has_glass(node.context.material.node_tree):
-        # Glass that is none to shadow rays lets lamps' light through as if nothing were there, which is what it is built for.
-        node.warn("Light Path ('Is Shadow Ray') counts for diffuse rays, too")
-        rays = SHADOW
-    elif output != "Is Camera Ray":
+    if output not in ("Is Camera Ray", "Is Shadow Ray"):
         node.warn(
-            f"Light Path ('{output}') knows what the camera sees, what mirrors and glass show it, and rays of reflections, and takes all other rays for diffuse ones"
+            f"Light Path ('{output}') knows what the camera sees, what mirrors and glass show it, rays of reflections and lamps' shadow rays, and takes all other rays for diffuse ones"
         )
     return node.emit(ops.VIEWED, p=rays) if rays not in (0, _ANY) else ONE if rays else ZERO
-
-
-def _has_glass(tree) -> bool:
-    """Whether a tree of a material, or a group in it, has shaders of glass."""
-    for node in tree.nodes:
-        if node.bl_idname in ("ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction"):
-            return True
-        if node.bl_idname == "ShaderNodeBsdfPrincipled":
-            transmission = node.inputs["Transmission Weight"]
-            if transmission.is_linked or transmission.default_value > 0:
-                return True
-        if node.type == "GROUP" and node.node_tree is not None and _has_glass(node.node_tree):
-            return True
-    return False
