@@ -250,15 +250,19 @@ def _reflect_chunk(
             across = max(_0, sx * dx + sy * dy + sz * dz)
             glossy = np.float32(further[i]) if len(further) > 0 else drawn_share(lobe, beneath, density, across)
             shares = wide and not is_mirror(scene.materials, material)
+            thrown = (
+                wide and cache.shine == _0 and t > near and t * lobe[ALPHA] > cache.size
+            )  # what it throws of the lamps' light comes by photons
             if (chance < _SHINY or shares) and t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
                 cell = find_cell(
                     cache, px, py, pz, hx, hy, hz, surface_side(scene.materials, material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
                 )  # fmt: skip
                 seen = -(hx * dx + hy * dy + hz * dz)
-                if cell >= 0 and shares:
-                    part = balance(drawn, gather_density(shared.gather[i], across))
-                    carried = _0
-                    if shared.lights:
+                if cell >= 0 and (shares or thrown):
+                    part, carried = _1, _0
+                    if shares:
+                        part = balance(drawn, gather_density(shared.gather[i], across))
+                    if shares and shared.lights:
                         clamped = min(_1, shared.g_max * t * t / max(across * abs(hx * dx + hy * dy + hz * dz), np.float32(1e-20)))
                         each = density * np.float32(n)
                         carried = clamped * bound(lobe, across, each * vr, each * vg, each * vb)
@@ -281,7 +285,7 @@ def _reflect_chunk(
                     continue
                 wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
             mirror[n_hits] = sure[n_hits] = 0
-            lit_by_photons[n_hits] = wide and cache.shine == _0 and t > near and t * lobe[ALPHA] > cache.size
+            lit_by_photons[n_hits] = thrown
             more[n_hits] = uniform(key, index, 1, 5) < glossy
             if clear[i]:
                 guide[i, 0] += wr * (ar + lr)

@@ -1,15 +1,18 @@
 """Wide glossy lobes: what other rays find for them is the same light as their own rays find, with less noise."""
 
+import math
+
 import numpy as np
 import pytest
 
 from lumigate.core import scene as sc
 from lumigate.core.lamps import build_emitters, world_tables
+from lumigate.core.methods import caustics
 from lumigate.core.methods.glossy import reflect
 from lumigate.core.methods.importance_sampling import ImportanceSampling
 from lumigate.core.methods.wide_lobes import sees_alike
 from lumigate.core.rays import RayScene
-from lumigate.core.surfaces.layout import DIFFUSE, GLOSSY_F0, ROUGHNESS
+from lumigate.core.surfaces.layout import DIFFUSE, GLOSSY_F0, GLOSSY_F90, ROUGHNESS
 from lumigate.core.transport import transport
 from lumigate.core.view.primary import view
 
@@ -61,16 +64,28 @@ def test_a_narrow_lobe_has_its_own_rays_only(room):
     np.testing.assert_array_equal(reflections(room, 0.1, False, 1), reflections(room, 0.1, True, 1))
 
 
-def test_what_mirrors_show_is_left_to_the_lobes_own_rays(room):
+def mirrors(room, roughness=0.1):
+    """The room, its walls of metal."""
     tables, points = room
     constant = tables.materials.constant.copy()
-    constant[0, DIFFUSE : DIFFUSE + 3], constant[0, GLOSSY_F0 : GLOSSY_F0 + 3], constant[0, ROUGHNESS] = 0, 0.9, 0.1
-    flags = tables.materials.flags | np.array([sc.BRUSHED, 0], np.int32)
-    mirrors = tables._replace(materials=tables.materials._replace(constant=constant, flags=flags))
+    constant[0, DIFFUSE : DIFFUSE + 3], constant[0, ROUGHNESS] = 0, roughness
+    constant[0, GLOSSY_F0 : GLOSSY_F0 + 3] = constant[0, GLOSSY_F90 : GLOSSY_F90 + 3] = 0.9
+    flags = tables.materials.flags | np.array([sc.BRUSHED | sc.METAL, 0], np.int32)
+    return tables._replace(materials=tables.materials._replace(constant=constant, flags=flags)), points
+
+
+def test_what_mirrors_show_is_left_to_the_lobes_own_rays(room, monkeypatch):
+    monkeypatch.setattr(caustics, "WORTHWHILE", math.inf)  # no photons
     dull = reflections(room, 0.7, True, 1)
-    shown = reflections((mirrors, points), 0.7, True, 1)
-    alone = reflections((mirrors, points), 0.7, False, 1)
+    shown, alone = (reflections(mirrors(room), 0.7, shared, 1) for shared in (True, False))
     assert dull.any() and np.array_equal(shown, alone)
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.5])
+def test_what_mirrors_throw_of_the_lamps_comes_by_photons_where_there_are_any(room, roughness):
+    """Neither twice nor not at all; of the same seeds, for the paths after the first metal are most of the noise."""
+    alone, photons = (np.mean([reflections(mirrors(room, roughness), 0.7, shared, seed) for seed in range(2)]) for shared in (False, True))
+    assert photons == pytest.approx(float(alone), rel=0.02)
 
 
 def test_what_either_kind_of_ray_alone_may_meet_is_not_shared():
