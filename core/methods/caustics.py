@@ -58,7 +58,7 @@ FEWEST_NEAREST, PART_NEAREST, MOST_NEAREST = 64, 1 / 256, 256  # the same of wha
 WORTHWHILE = 0.02  # share of the view's light that lobes throw, weighed by how far virtual lights blur them
 # Share of the view's light from which on all photons are traced, however wide the lobes (close by, the clamp leaves virtual lights' part to rays that know
 # no direction), and the least part of them.
-MUCH, LEAST_PART = 0.2, 1 / 16
+MUCH, LEAST_PART = 0.2, 0.125
 MANY = 4  # times as many photons as neighbours, at least: fewer tell nothing
 LOOKS = 32  # of the photons by lobes around it that each point looks at: its own noise is the denoiser's
 FEW_LOOKS = 0.5  # root of the least part of these, where they bring little
@@ -394,7 +394,7 @@ def by_lobes(
     """
     if share < WORTHWHILE:
         return None, 0
-    part = min(1.0, max((share / MUCH) ** 2, LEAST_PART))  # of less light, more noise is as good
+    part = min(1.0, max(share / MUCH, LEAST_PART))  # of less light, more noise is as good
     more = min(vpls / VPLS, MOST_BESIDE)
     wanted = part * more * BY_LOBES
     worth = WORTHWHILE / share if share < MUCH else 0.0
