@@ -272,6 +272,13 @@ def test_lamps_that_shine_nothing_are_skipped_by_name(stage, spoil, reason):
     assert [(s.stage, "'Area'" in s.reason, reason in s.reason) for s in scene.skipped] == [("lamps", True, True)]
 
 
+@pytest.mark.parametrize("energy", [-5, 0, 5])
+def test_a_lamp_that_darkens_in_cycles_is_warned_of(stage, energy):
+    stage.cube()
+    stage.lamp("AREA", energy=energy)
+    assert any("'Area'" in warning and "negative" in warning for warning in stage.extract().warnings) == (energy < 0)
+
+
 def test_switches_groups_and_place(stage):
     stage.cube().location = 100, 0, 0
     lamp = stage.lamp("POINT", Matrix.Translation((101, 2, 3)), energy=1, use_shadow=False)
