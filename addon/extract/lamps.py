@@ -92,7 +92,9 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph, links: Links) -> CollectedLamp
             found.skip(ob.name, "has no power")
         elif (power < 0).any():
             found.skip(ob.name, "has negative power, which darkens in Cycles: set a positive one")
-            found.warnings.append(f"lamp '{ob.name}' has negative power, by which Cycles takes light away, and is left out: set a positive one")
+            found.warnings.append(
+                f"lamp '{ob.name}' has negative power, by which Cycles takes light away, and is left out: set a positive one"
+            )
         elif visibility == 0:
             found.skip(ob.name, "is invisible to every kind of ray")
         else:
