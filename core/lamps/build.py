@@ -315,7 +315,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
         light_groups=len(groups.names),
         receivers=receivers.astype(np.int32),
         receiver_sets=receiver_sets(scene.geometry),
-        shadow_kinds=shadow_kinds(blockers),
+        shadow_kinds=shadow_kinds(blockers, scene.geometry, (kind == WORLD) & (not world.varies)),
         vertices=scene.geometry.vertices,
         triangles=scene.geometry.triangles,
         attributes=scene.geometry.attributes,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import inlined
-from ..scene import FIRST_BLOCKER_SET, SHADOW, Geometry, Lamps, Scene
+from ..scene import DIFFUSE, FIRST_BLOCKER_SET, SHADOW, Geometry, Lamps, Scene
 from .tables import GLOSSY_ONLY, LINKED, Emitters
 
 
@@ -27,9 +27,16 @@ def is_hidden_alike(emitters, e):
     return emitters.shadow_kinds[e] == SHADOW
 
 
-def shadow_kinds(blockers: np.ndarray) -> np.ndarray:
-    """(E,) int64: kinds of the shadow rays to emitters of these sets of blockers (-1: all that hides anything)."""
-    return np.where(blockers < 0, SHADOW, FIRST_BLOCKER_SET << np.maximum(blockers, 0)).astype(np.int64)
+def shadow_kinds(blockers: np.ndarray, geometry: Geometry, even_sky: np.ndarray) -> np.ndarray:
+    """(E,) int64: kinds of the shadow rays to emitters of these sets of blockers (-1: all that hides anything).
+
+    even_sky: (E,) bool, which of them are a sky of one colour.  Cycles has no shadow rays to it: what diffuse rays meet hides it.
+    """
+    kinds = np.where(blockers < 0, SHADOW, FIRST_BLOCKER_SET << np.maximum(blockers, 0)).astype(np.int64)
+    hides = geometry.object_visibility & (SHADOW | DIFFUSE)
+    if ((hides == SHADOW) | (hides == DIFFUSE)).any():
+        kinds[even_sky & (blockers < 0)] = DIFFUSE
+    return kinds
 
 
 def object_links(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

@@ -92,6 +92,23 @@ def test_particles_leave_what_direct_light_finds(name, receivers, hides):
         assert found == pytest.approx(expected, rel=0.03, abs=1e-6)
 
 
+def kinds_of(blockers):
+    """Of the shadow rays to a lamp that this set of objects hides."""
+    seen = SimpleNamespace(object_visibility=np.array([sc.ALL_RAYS], np.uint32))
+    return int(shadow_kinds(np.array([blockers]), seen, np.array([False]))[0])
+
+
+@pytest.mark.parametrize(
+    ("visibility", "kinds"),
+    [(sc.ALL_RAYS & ~sc.SHADOW, sc.DIFFUSE), (sc.ALL_RAYS & ~sc.DIFFUSE, sc.DIFFUSE), (sc.ALL_RAYS & ~sc.CAMERA, sc.SHADOW)],
+)
+def test_a_sky_of_one_colour_is_hidden_by_what_diffuse_rays_meet(visibility, kinds):
+    """As in Cycles, which has no shadow rays to it, where these meet other objects; and so are no lamps, nor what objects of their own hide."""
+    seen = SimpleNamespace(object_visibility=np.array([sc.ALL_RAYS, visibility], np.uint32))
+    found = shadow_kinds(np.array([-1, -1, 0]), seen, np.array([True, False, True]))
+    assert found.tolist() == [kinds, sc.SHADOW, sc.FIRST_BLOCKER_SET]
+
+
 @pytest.mark.parametrize("backend", ["embree", "bvh"])
 def test_rays_of_a_set_meet_its_blockers_alone(backend):
     triangles = np.array([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
@@ -100,8 +117,8 @@ def test_rays_of_a_set_meet_its_blockers_alone(backend):
     with RayScene(vertices, triangles, np.array([sc.SHADOW | k for k in sets], np.uint32), backend=backend) as rays:
         for kinds, first in (
             (sc.SHADOW, 0),
-            (int(shadow_kinds(np.array([0]))[0]), 1),
-            (int(shadow_kinds(np.array([sc.BLOCKER_SETS - 1]))[0]), 2),
+            (kinds_of(0), 1),
+            (kinds_of(sc.BLOCKER_SETS - 1), 2),
         ):
             hits = intersect(rays, np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32), mask=kinds, which=ALL)
             assert hits.triangle[0] == first
@@ -113,4 +130,4 @@ def test_which_are_linked():
     scene.lamps.receivers[:], scene.lamps.blockers[:] = [-1, 0, -1], [-1, -1, 0]
     assert is_linked(scene.lamps).tolist() == [False, True, True]
     assert is_unlinked(Lit(scene).emitters).tolist() == [True, False, False]
-    assert math.log2(shadow_kinds(np.array([sc.BLOCKER_SETS - 1]))[0]) < 30
+    assert math.log2(kinds_of(sc.BLOCKER_SETS - 1)) < 30
