@@ -412,7 +412,7 @@ def _new_rays(n):
     f, i = np.float32, np.int32
     return _Rays(
         np.empty((n, 7), f), np.empty((n, 3), f), np.zeros((n, 3), f), np.empty(n, i), np.empty(n, i), np.empty(n, i), np.empty(n, np.int64),
-        np.empty(n, np.int64),        np.empty((n, 3), f), np.empty(n, f),
+        np.empty(n, np.int64), np.empty((n, 3), f), np.empty(n, f),
     )  # fmt: skip
 
 

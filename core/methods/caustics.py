@@ -85,8 +85,8 @@ class Photons(NamedTuple):
 
     position: (P, 3) float32 (m).  normal: (P, 3) float32, geometric, on the lit side.  direction: (P, 3) float32, unit, in which they flew.
     entry: (P, 3) float32, where they first met glass, or the lobe (m).  facing: (P, 3) float32, geometric normal of the lobe's surface, on the
-    side to which it reflects; 0 without one.  flux: (P, 3) float32, W.  side: (P,) float32, 1 where the normal is their triangle's own, else -1.  group: (P,) int32, their lamps' light groups.
-    metal: (P,) uint8, whether metal reflected them.  narrow: (P,) float32, by how much narrower it is
+    side to which it reflects; 0 without one.  flux: (P, 3) float32, W.  side: (P,) float32, 1 where the normal is their triangle's own, else -1.
+    group: (P,) int32, their lamps' light groups.  metal: (P,) uint8, whether metal reflected them.  narrow: (P,) float32, by how much narrower it is
     than virtual lights can tell, by `particles.BLUR`: 0 to 1.
     """
 
