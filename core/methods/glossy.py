@@ -146,7 +146,7 @@ def _reflect_chunk(
     weight of their ray; one with a narrow lobe reflects (mirror (H,) is 1) or is diffuse (0) at random.  Where the lobe is
     wider than the cells of the cache, and the surface farther than `near`, what it sends by row `row` is added to `known` (N, 3 G), and by the
     row before to the extent that Cycles counts the ray as a diffuse one (`wide_lobes.drawn_share`); more (H,) is 0 where it does, at random, else 1.
-    lit: (N,) uint8, 0 for points whose emission that their rays meet has been found by other ways.  lit_by_photons: (H,) uint8, 1 for hits of which it has.
+    lit: (N,) uint8, 0 for points to which photons bring the emitters' light.  lit_by_photons: (H,) uint8, 1 for hits of which that is so.
     further: (N,) uint8, the `more` that stays what it was found to be, empty where it is to be found.
     clear: (N,) uint8, whether only mirrors lie between the point and the eye; then what its rays meet adds its diffuse albedo to
     `guide` (N, 3), as it is on average, and sure (H,) says whether that meets a mirror itself.
@@ -223,11 +223,8 @@ def _reflect_chunk(
                 hx, hy, hz, nx, ny, nz = -hx, -hy, -hz, -nx, -ny, -nz
             cosine = lobe_cosine(nx, ny, nz, hx, hy, hz, -dx, -dy, -dz)
             e = emitter_of(emitters, triangle) if flags & EMISSIVE else -1
-            if (
-                flags & EMISSIVE
-                and lit[i]
-                and (e < 0 or (is_hidden_alike(emitters, e) and lights(emitters, e, scene.object, points.triangle[i])))
-            ):
+            found = e >= 0 and not (lit[i] and is_hidden_alike(emitters, e) and lights(emitters, e, scene.object, points.triangle[i]))
+            if flags & EMISSIVE and not found:
                 share = _1
                 if e >= 0:
                     share = share_of(drawn, aimed_density(emitters, expected, estimate, e, x, y, z, sx, sy, sz, dx, dy, dz))
@@ -250,9 +247,8 @@ def _reflect_chunk(
             across = max(_0, sx * dx + sy * dy + sz * dz)
             glossy = np.float32(further[i]) if len(further) > 0 else drawn_share(lobe, beneath, density, across)
             shares = wide and not is_mirror(scene.materials, material)
-            thrown = (
-                wide and cache.shine == _0 and t > near and t * lobe[ALPHA] > cache.size
-            )  # what it throws of the lamps' light comes by photons
+            # Whether what it throws of the lamps' light comes by photons.
+            thrown = wide and cache.shine == _0 and t > near and t * lobe[ALPHA] > cache.size
             if (chance < _SHINY or shares) and t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
                 cell = find_cell(
                     cache, px, py, pz, hx, hy, hz, surface_side(scene.materials, material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)

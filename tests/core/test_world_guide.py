@@ -150,16 +150,19 @@ def test_an_open_world_has_no_noise_with_gather_rays():
     assert np.allclose(with_gathered(light, points, 8, 1, gathered), 0.7 * math.pi, rtol=1e-3)
 
 
+@pytest.mark.parametrize("even", [False, True], ids=["uneven", "even"])
 @pytest.mark.parametrize("kind", [sc.DIFFUSE, sc.SHADOW], ids=["no shadow", "shadow only"])
-def test_a_roof_that_gather_rays_and_shadow_rays_see_differently(build, kind):
+def test_a_roof_that_gather_rays_and_shadow_rays_see_differently(build, kind, even):
+    """Shadow rays tell, but under a sky of one colour, to which Cycles has none."""
     floor = [(-9, -9, -1), (9, -9, -1), (9, 9, -1), (-9, 9, -1)]
     roof = [(-900, -900, 1), (900, -900, 1), (900, 900, 1), (-900, 900, 1)]
     g = build.geometry(*build.quads(floor, roof), np.repeat([0, 1], 2))
     g.object[2:] = 1
     g.object_names, g.object_visibility = ["floor", "roof"], np.array([sc.ALL_RAYS, kind], np.uint8)
-    scene = build.scene(g, build.materials((0.5, 0.0), (0.0, 0.0)), world=(1, 1, 1), camera=build.camera())
+    world = (1, 1, 1) if even else np.where(np.arange(16) % 2, 0.99, 1.01)[None, :, None] * np.ones((8, 16, 3))
+    scene = build.scene(g, build.materials((0.5, 0.0), (0.0, 0.0)), world=world, camera=build.camera())
     direct = render(scene, RenderSettings(pixel_samples=1, denoise=False)).layers["Direct"]
-    assert direct.mean() == pytest.approx(0.0 if kind == sc.SHADOW else 0.5, abs=0.01)
+    assert direct.mean() == pytest.approx(0.0 if kind == (sc.DIFFUSE if even else sc.SHADOW) else 0.5, abs=0.01)
 
 
 def test_rays_leave_from_all_places_of_a_point():
