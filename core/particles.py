@@ -32,8 +32,8 @@ import numpy as np
 
 from .jit import inlined, kernel, leaf
 from .lamps.emission import FOR_EVER, emit
-from .lamps.links import lights
-from .lamps.lookup import BOTH, MEAN_COSINE, ray_kind, sought
+from .lamps.links import lights, parts_rays
+from .lamps.lookup import BOTH, ray_kind, sought
 from .lamps.shapes import AWAY_FROM_CENTRE, falloff
 from .lamps.tables import CASTS_SHADOW, FADING, GLOSSY_ONLY, NOMINAL, RADIUS, SEEN_BY_GLOSSY, SOFT
 from .rays.offsets import hit_point, offset_origin
@@ -86,6 +86,7 @@ _AS_WIDE = np.float32(0.25)
 _MORE = 16  # times as many particles are tried where none has landed
 SHINE, THROUGH = 1, 2  # kinds of lights, `Vpls.shine`
 NESTED = 4  # fronts of glass, each within the last, that a particle owes for
+_ALIKE, _APART, _BY_GLASS = 0, 1, 2  # what shadow rays and diffuse ones make of what a particle has passed
 _MET = 0.2  # of what passes an angled surface, at least, tries what that keeps
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -278,8 +279,9 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
     lobe = np.zeros(LOBE, np.float32)
     entered = np.empty(WIDTH, np.int64)
     kind = np.empty(WIDTH, np.int64)  # of the first flight
-    # The share of its light that shadow rays find, where half of the particles fly for these; else below 0.
-    found = np.empty(WIDTH, np.float32)
+    both = np.empty(WIDTH, np.bool_)  # whether half of the particles fly as each kind
+    told = np.empty(WIDTH, np.int64)  # whether what a particle has passed then tells these kinds apart
+    hiding = np.empty(WIDTH, np.int64)  # kinds of rays that meet what hides its lamp
     owed = np.empty((WIDTH, NESTED), np.float32)
     n = 0
     n_rays = 0
@@ -300,12 +302,15 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
             flying[lane] = emitter[lane] >= 0 and max(r, g, b) > 0
             scattered[lane] = 0
             entered[lane] = OUTSIDE
-            kind[lane], found[lane] = DIFFUSE, -_1
+            kind[lane], both[lane], told[lane] = DIFFUSE, False, _ALIKE
             if flying[lane]:
+                hiding[lane] = scene.emitters.shadow_kinds[emitter[lane]]
                 kind[lane] = ray_kind(scene.emitters, emitter[lane], -dx, -dy, -dz)
                 if kind[lane] == BOTH:
-                    found[lane] = sought(scene.emitters.world, -dx, -dy, -dz, MEAN_COSINE)
+                    both[lane] = True
                     kind[lane] = SHADOW if uniform(seed, i, 0, 8) < np.float32(0.5) else DIFFUSE
+                    if scene.emitters.parted:
+                        hiding[lane] = kind[lane]
             square[lane] = near[lane] * before[lane]
             flown[lane] = _0
         for bounce in range(len(survivors)):
@@ -359,8 +364,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     through = False
                     ahead = bounce > 0 or flown[lane] + t >= before[lane]
                     receives = seen & DIFFUSE and (bounce > 0 or lights(scene.emitters, emitter[lane], scene.object, triangle))
-                    hides = scene.emitters.shadow_kinds[emitter[lane]]
-                    unshadowed = bounce == 0 and not (seen & hides and scene.emitters.flags[emitter[lane]] & CASTS_SHADOW)
+                    unshadowed = bounce == 0 and not (seen & hiding[lane] and scene.emitters.flags[emitter[lane]] & CASTS_SHADOW)
                     if not ahead:  # on the disk of a soft lamp, of which it hides a part from what is near
                         through = True
                         clear = (tr + tg + tb) / np.float32(3.0) if reverse else _0
@@ -370,11 +374,15 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                             near[lane] = max(near[lane], square[lane] / (before[lane] - flown[lane] - t))
                     elif unshadowed:  # it is lit, and so is what lies behind it: the particle does one or the other
                         through = True
-                        if receives:
+                        if receives and not (both[lane] and flags & REFRACTIVE):  # what glass shows of the sky, scattered rays have found
                             through = uniform(seed, base + lane, bounce, 16 + _MAX_PASSED + passed) < np.float32(0.5)
                             for c in range(3):
                                 flux[lane, c] *= np.float32(2.0)
+                        if through and parts_rays(seen):
+                            told[lane] = max(told[lane], _APART)
                     elif flags & TRANSPARENT:
+                        if bounce == 0 and flags & REFRACTIVE and parts_rays(seen):
+                            told[lane] = _BY_GLASS
                         if not reverse:
                             tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
                         chance = max(tr, tg, tb)
@@ -388,13 +396,9 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                             flux[lane, 1] *= tg / chance
                             flux[lane, 2] *= tb / chance
                             through = True
-                            if flags & TELLING and bounce == 0 and found[lane] >= _0:
-                                # Cycles gives each of both kinds its share, but takes the light beyond glass whole.
-                                bent = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
-                                share = found[lane] if kind[lane] == SHADOW else _1 if bent > _0 else _1 - found[lane]
-                                for c in range(3):
-                                    flux[lane, c] *= np.float32(2.0) * share
-                                found[lane] = -_1
+                            if bounce == 0 and told[lane] != _BY_GLASS and (flags & TELLING or parts_rays(seen)):
+                                bent = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2] > _0
+                                told[lane] = _BY_GLASS if bent else _APART
                             if flags & REFRACTIVE:
                                 if bounce == 0 and scattered[lane] == 0:
                                     bent = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
@@ -413,7 +417,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         flown[lane] += t
                     if through:
                         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-                        kinds = DIFFUSE | hides if bounce == 0 else DIFFUSE
+                        kinds = DIFFUSE | scene.emitters.shadow_kinds[emitter[lane]] if bounce == 0 else DIFFUSE
                         set_ray(packet, lane, ox, oy, oz, dx, dy, dz, np.float32(0.0), np.float32(np.inf), kinds)
                         n_rays += 1
                         landed_any = True
@@ -441,6 +445,15 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
                         cos_g = -cos_g
                     cos_s = sx * dx + sy * dy + sz * dz
+                    if bounce == 0 and both[lane] and told[lane] != _ALIKE:
+                        # Cycles gives each of both kinds its share, but takes the light beyond glass whole.
+                        share = _1
+                        if kind[lane] == SHADOW or told[lane] == _APART:
+                            share = sought(scene.emitters.world, -dx, -dy, -dz, max(_0, -cos_s))
+                        if kind[lane] != SHADOW:
+                            share = _1 if told[lane] == _BY_GLASS else _1 - share
+                        for c in range(3):
+                            flux[lane, c] *= np.float32(2.0) * share
                     adjoint = min(MAX_ADJOINT, max(np.float32(0.0), cos_s / cos_g)) if cos_g < 0 else np.float32(0.0)
                     i = base + lane
                     d = _EMISSION_DIMENSIONS + 2 * bounce

@@ -174,12 +174,14 @@ class World:
         (1, 1, 3) is a constant world.
     visibility: bits of ray kinds.  group: name of its light group ('' for none).
     seen: (H, W, 3) float32, what the camera sees instead, past surfaces that let light through as well; None for the same.
+    sought: part of Cycles' shadow rays to the sky that follow its brightness; the others seek a sun in it, which is a lamp here.
     """
 
     radiance: np.ndarray
     visibility: int = ALL_RAYS
     group: str = ""
     seen: np.ndarray | None = None
+    sought: float = 1.0
 
 
 @dataclass

@@ -27,6 +27,7 @@ _MAX_WIDTH = 4096
 _WIDTH = 1024  # of a rendered panorama whose nodes name no larger image
 _CACHE_BYTES = 2**30
 _RENDERED_AS = 1  # raised where a world is rendered otherwise than before: what is kept of it then counts no more
+BESIDE_A_SUN = 0.2  # of Cycles' shadow rays to a sky with one sun disc: four in five seek the disc
 SUN_OF_SKY = " (sun)"  # after the world's name: the lamp that shines as its sun disc does
 
 
@@ -101,6 +102,8 @@ def extract_world(
                 found.world.seen = _reduced(seen[0])
                 visibility &= ALL_RAYS if seen[1] else ~CAMERA
         found.suns = [_sun_lamp(world, sun, visibility) for sun in suns]
+        if len(suns) == 1:
+            found.world.sought = BESIDE_A_SUN
     found.world.radiance = _reduced(radiance)
     return found
 

@@ -29,7 +29,7 @@ from ..surfaces.closures import REFLECTED
 from ..surfaces.layout import EMISSION
 from .emission import shares
 from .groups import LightGroups
-from .links import object_links, receiver_sets, shadow_kinds
+from .links import is_parted, object_links, receiver_sets, shadow_kinds
 from .sharp import small_lamps
 from .tables import (
     AREA_M2,
@@ -264,7 +264,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
     linked = scene.lamps.receivers[source], scene.lamps.blockers[source]
     parts = [(kind, flags, radiance, flux, bounds, groups.lamps[source], *linked)]
     if scene.world.visibility & (ray_kind | reflected) and (scene.world.radiance > 0).any():
-        world, mean, world_flux = world_table(scene.world.radiance, box)
+        world, mean, world_flux = world_table(scene.world.radiance, box, scene.world.sought)
         world_flags = CASTS_SHADOW + SEEN_BY_GLOSSY * bool(scene.world.visibility & GLOSSY)
         world_flags += GLOSSY_ONLY * (not scene.world.visibility & ray_kind)
         parts.append(
@@ -289,6 +289,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
     own = np.intersect1d(np.flatnonzero(small_lamps(kind[: len(lamps)], lamps, box)), sampled).astype(int)
     if len(own) <= FEW:
         flags[own] |= SHARP
+    parted = is_parted(scene.geometry)
     return Emitters(
         kind=kind.astype(np.int32),
         flags=flags.astype(np.int32),
@@ -309,7 +310,8 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
         focus=np.zeros((0, 2, 3), np.float32),
         aim=np.zeros(4, np.float32),
         cutouts=bool((scene.materials.tables.flags & TRANSPARENT).any()),
-        told=bool((scene.materials.tables.flags & TELLING).any()),
+        told=parted or bool((scene.materials.tables.flags & TELLING).any()),
+        parted=parted,
         light_group=light_group.astype(np.int32),
         object_light_group=groups.objects,
         light_groups=len(groups.names),

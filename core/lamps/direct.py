@@ -40,7 +40,7 @@ from ..threads import Progress, run_chunks
 from .departures import REFLECTS, VARIED, differs, is_patterned, place_for_world, place_of, position_at, surface_at
 from .escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray, no_gather_rays
 from .links import is_hidden_alike, lights
-from .lookup import BOTH, MEAN_COSINE, can_be_met, emitter_density, emitter_of, ray_kind, share_of, sought
+from .lookup import BOTH, can_be_met, emitter_density, emitter_of, ray_kind, share_of, sought
 from .sample import sample_emitter
 from .seen import learn
 from .sharp import sharp_emitters
@@ -245,18 +245,42 @@ def _shadow_ray_from(scene, triangle, e, u, v, px, py, pz, gx, gy, gz, error, dx
     return shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, error, dx, dy, dz, t)
 
 
+@inlined
+def _is_apart(emitters, kind):
+    """Whether a ray of this `ray_kind` stands for a shadow ray and a diffuse one that may meet different objects."""
+    return emitters.parted and kind == BOTH
+
+
+@leaf
+def _unhidden(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kind, entered):
+    """The `transmittance1` of a ray of one kind, nothing where what is opaque is in the way."""
+    if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, kind):
+        return _0, _0, _0, _1
+    return transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kind, kind, entered)
+
+
 @leaf
 def _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, kind, entered, cosine):
     """The `transmittance1` of a ray to an emitter, of this `ray_kind`, from a surface that it leaves at `cosine`.
 
+    Where `_is_apart`, opaque things count, too: no ray need have been traced before.
     Of BOTH kinds, Cycles gives each sampler its share, but what scattered rays find beyond glass it takes whole.
     """
     if kind != BOTH:
         return transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, kind, entered)
-    r, g, b, clear = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, DIFFUSE, entered)
-    sr, sg, sb, shadowed = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, SHADOW, entered)
-    if clear < _0 or shadowed < _0:
+    if scene.emitters.parted:
+        r, g, b, clear = _unhidden(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, DIFFUSE, entered)
+        sr, sg, sb, shadowed = _unhidden(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, SHADOW, entered)
+    else:
+        r, g, b, clear = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, DIFFUSE, entered)
+        sr, sg, sb, shadowed = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, SHADOW, entered)
+    if clear < _0 and shadowed < _0:
         return r, g, b, clear
+    if clear < _0:  # by a lens: `methods.caustics`
+        r = g = b = _0
+        clear = _1
+    if shadowed < _0:
+        sr = sg = sb = _0
     share = sought(scene.emitters.world, dx, dy, dz, cosine)
     own, rest, glass = share * shadowed, (_1 - share) * clear, _1 - clear
     direct = own * (sr + sg + sb) + rest * (r + g + b)
@@ -266,18 +290,19 @@ def _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, k
 
 
 @leaf
-def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered):
+def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered, cosine):
     """Share of light (r, g, b) of emitter e that a shadow ray lets through up to t = end, and the share of that which passed no glass.
 
-    entered: solids of glass that the path has entered before.
+    entered: solids of glass that the path has entered before.  cosine: at which the ray leaves its surface.
     """
     kinds = scene.emitters.shadow_kinds[e]
-    if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, kinds):
-        return _0, _0, _0, _1
-    if not scene.emitters.cutouts:
-        return _1, _1, _1, _1
     kind = ray_kind(scene.emitters, e, dx, dy, dz)
-    r, g, b, clear = _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, kind, entered, MEAN_COSINE)
+    if not _is_apart(scene.emitters, kind):
+        if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, kinds):
+            return _0, _0, _0, _1
+        if not scene.emitters.cutouts:
+            return _1, _1, _1, _1
+    r, g, b, clear = _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, kind, entered, cosine)
     return r, g, b, max(_0, clear)
 
 
@@ -334,7 +359,7 @@ def direct_sample_at(
     clear = _1
     if emitters.flags[e] & CASTS_SHADOW:
         ox, oy, oz, rx, ry, rz, end = _shadow_ray_from(scene, triangle, e, u, v, x, y, z, gx, gy, gz, error, dx, dy, dz, t, across)
-        tr, tg, tb, clear = passed(scene, packet, rows, surface, e, ox, oy, oz, rx, ry, rz, end, entered)
+        tr, tg, tb, clear = passed(scene, packet, rows, surface, e, ox, oy, oz, rx, ry, rz, end, entered, cosine)
         r, g, b = r * tr, g * tg, b * tb
     return w * r, w * g, w * b, cosine, e, across, clear, dx, dy, dz
 
@@ -825,9 +850,12 @@ def _trace(scene, packet, rows, surface, points, start, rays, n):
         end = min(begin + WIDTH, n)
         for lane in range(WIDTH):
             if begin + lane < end and rays.ray[begin + lane, 6] >= _0:
+                cast += 1
+                if _is_apart(scene.emitters, rays.kind[begin + lane]):
+                    disable_ray(packet, lane)
+                    continue
                 p = rays.ray[begin + lane]
                 set_ray(packet, lane, p[0], p[1], p[2], p[3], p[4], p[5], _0, p[6], rays.kinds[begin + lane])
-                cast += 1
             else:
                 disable_ray(packet, lane)
         occluded_packet(scene.rays, OPAQUE, packet, end - begin)
@@ -835,9 +863,10 @@ def _trace(scene, packet, rows, surface, points, start, rays, n):
             p = rays.ray[j]
             tr = tg = tb = clear = _1
             if p[6] >= _0:
-                if is_occluded(packet, j - begin):
+                apart = _is_apart(scene.emitters, rays.kind[j])
+                if not apart and is_occluded(packet, j - begin):
                     tr = tg = tb = _0
-                elif scene.emitters.cutouts:
+                elif apart or scene.emitters.cutouts:
                     entered = np.int64(points.entered[start + rays.point[j]])
                     normal = points.ns[start + rays.point[j]]
                     cosine = max(_0, normal[0] * p[3] + normal[1] * p[4] + normal[2] * p[5])

@@ -90,7 +90,9 @@ def _highlights_chunk(scene, points, which, lamps, begin, end, seed, out):
                 tr = tg = tb = clear = np.float32(1.0)
                 if emitters.flags[e] & CASTS_SHADOW:
                     ox, oy, oz, dx, dy, dz, end_t = shadow_ray(scene, e, u, v, px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz, t)
-                    tr, tg, tb, clear = passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end_t, entered)
+                    tr, tg, tb, clear = passed(
+                        scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end_t, entered, max(_0, nx * dx + ny * dy + nz * dz)
+                    )
                     cast += 1
                 r, g, b = part * fr * r * tr, part * fg * g * tg, part * fb * b * tb
                 c = 3 * emitters.light_group[e]

@@ -22,6 +22,13 @@ def lights(emitters, e, objects, triangle):
 
 
 @inlined
+def parts_rays(visibility):
+    """Whether an object of these kinds of rays is met by shadow rays but not by diffuse ones, or the other way round."""
+    hides = visibility & (SHADOW | DIFFUSE)
+    return hides == SHADOW or hides == DIFFUSE
+
+
+@inlined
 def is_hidden_alike(emitters, e):
     """Whether what hides emitter e from other rays hides it from shadow rays, too."""
     return emitters.shadow_kinds[e] == SHADOW
@@ -33,10 +40,15 @@ def shadow_kinds(blockers: np.ndarray, geometry: Geometry, even_sky: np.ndarray)
     even_sky: (E,) bool, which of them are a sky of one colour.  Cycles has no shadow rays to it: what diffuse rays meet hides it.
     """
     kinds = np.where(blockers < 0, SHADOW, FIRST_BLOCKER_SET << np.maximum(blockers, 0)).astype(np.int64)
-    hides = geometry.object_visibility & (SHADOW | DIFFUSE)
-    if ((hides == SHADOW) | (hides == DIFFUSE)).any():
+    if is_parted(geometry):
         kinds[even_sky & (blockers < 0)] = DIFFUSE
     return kinds
+
+
+def is_parted(geometry: Geometry) -> bool:
+    """Whether any object is met by shadow rays but not by diffuse ones, or the other way round."""
+    hides = geometry.object_visibility & (SHADOW | DIFFUSE)
+    return bool(((hides == SHADOW) | (hides == DIFFUSE)).any())
 
 
 def object_links(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

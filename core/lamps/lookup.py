@@ -56,13 +56,13 @@ def share_of(own, other):
 def sought(world, dx, dy, dz, cosine):
     """The share of what shines along d that Cycles finds by shadow rays, where it meets a diffuse surface at `cosine`; the rest it finds by rays scattered there."""
     r, g, b = world_radiance(world, dx, dy, dz)
-    aimed = (r + g + b) / (np.float32(12) * world.estimate[0])
+    aimed = world.sought * (r + g + b) / (np.float32(12) * world.estimate[0])
     return share_of(aimed, cosine * _1_PI) if aimed > _0 else _0
 
 
 @inlined
 def ray_kind(emitters, e, dx, dy, dz):
-    """What a ray of light from emitter e, which lies in the direction d, is to materials that tell rays apart: SHADOW, DIFFUSE, or BOTH in parts.
+    """What a ray of light from emitter e, which lies in the direction d, is to materials and objects that tell rays apart: SHADOW, DIFFUSE, or BOTH in parts.
 
     Cycles finds lamps and suns in the sky by shadow rays, an even sky by rays that diffuse surfaces scatter, and what lies between by both.
     """

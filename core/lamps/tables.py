@@ -47,7 +47,7 @@ class WorldTable(NamedTuple):
     radiance: (H, W, 3).  rows, columns: (H + 1,), (H, W + 1) CDFs for direct light, of what exceeds the mean
         (see `world`).  emission_rows, emission_columns: CDFs of the light that enters the scene's box.
     varies: whether the first pair of CDFs is used at all.  estimate: (4,) irradiance of a surface with normal n
-        is about estimate[0] + estimate[1:] . n (mean of the channels).
+        is about estimate[0] + estimate[1:] . n (mean of the channels).  sought: as of `World`.
     """
 
     radiance: np.ndarray
@@ -57,6 +57,7 @@ class WorldTable(NamedTuple):
     emission_columns: np.ndarray
     varies: bool
     estimate: np.ndarray
+    sought: np.float32
 
 
 class LightTree(NamedTuple):
@@ -114,7 +115,8 @@ class Emitters(NamedTuple):
     emission_cdf: (E + 1,) float64, by flux.  box: (2, 3), corners of the scene's bounding box.
     focus: (K, 2, 3), corners of boxes within it where particles of sun and world count more; none: everywhere alike.
     aim: (4,), centre and radius of a sphere to which emitters far off send more of their particles, radius 0 for none.
-    cutouts: whether anything in the scene lets light through.  told: whether what does so may be TELLING.
+    cutouts: whether anything in the scene lets light through.  told: whether rays to the sky are to be told apart by their kind: where what
+        lets light through may be TELLING, or `parted`: where objects are met by shadow rays alone, or by diffuse rays alone.
     light_group: (E,) int32, object_light_group: (O,) int32: the light group of each emitter, and of each object's triangles.
     receivers: (E,) int32, the set of objects that an emitter which is LINKED lights, receiver_sets: (K, O) uint8, 1 for those of each set.
     shadow_kinds: (E,) int64, the kind of its shadow rays, which meet what hides it.
@@ -142,6 +144,7 @@ class Emitters(NamedTuple):
     aim: np.ndarray
     cutouts: bool
     told: bool
+    parted: bool
     light_group: np.ndarray
     object_light_group: np.ndarray
     light_groups: int

@@ -51,8 +51,11 @@ def _entering(box: np.ndarray, height: int, width: int) -> np.ndarray:
     return fine.reshape(height, parts, width, parts).sum((1, 3))
 
 
-def world_table(radiance: np.ndarray, box: np.ndarray) -> tuple[WorldTable, np.ndarray, np.ndarray]:
-    """Table of a world (H, W, 3), its mean radiance (3,) and the flux (3,) that it sends into the box (W)."""
+def world_table(radiance: np.ndarray, box: np.ndarray, sought: float = 1.0) -> tuple[WorldTable, np.ndarray, np.ndarray]:
+    """Table of a world (H, W, 3), its mean radiance (3,) and the flux (3,) that it sends into the box (W).
+
+    sought: as of `World`.
+    """
     radiance = np.ascontiguousarray(radiance, np.float32)
     height, width = radiance.shape[:2]
     constant = bool((radiance == radiance[0, 0]).all())
@@ -76,6 +79,7 @@ def world_table(radiance: np.ndarray, box: np.ndarray) -> tuple[WorldTable, np.n
         emission_columns=cumulative(emitted),
         varies=not constant,
         estimate=np.array([np.pi * mean.mean(), *harmonics], np.float32),
+        sought=np.float32(sought),
     )
     flux = (radiance_for_density * entering[..., None]).sum((0, 1))
     return table, mean, flux

@@ -110,7 +110,9 @@ def _lamps_along(
         tr = tg = tb = clear = _1
         if emitters.flags[e] & CASTS_SHADOW:
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-            tr, tg, tb, clear = passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, t * _SHORT, entered)
+            tr, tg, tb, clear = passed(
+                scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, t * _SHORT, entered, max(_0, sx * dx + sy * dy + sz * dz)
+            )
         tr, tg, tb = wr * w * tr * emitters.radiance[e, 0], wg * w * tg * emitters.radiance[e, 1], wb * w * tb * emitters.radiance[e, 2]
         if emitters.flags[e] & TEXTURED:
             sr, sg, sb = shown_from(
