@@ -38,9 +38,11 @@ def drawn_from_lobe(d, g, roughness):
     return [np.average(share, weights=lit * ring) for lit in (values[:, 0], diffuse)]
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("roughness", [0.05, 0.6])
-@pytest.mark.parametrize("bounces", [1, 4])
+@pytest.mark.parametrize(
+    ("method", "bounces", "roughness"),
+    [(method, *case) for method in METHODS for case in [(1, 0.05), (4, 0.6)]]
+    + [("importance-sampling", *case) for case in [(1, 0.6), (4, 0.05)]],
+)
 def test_glossy_sphere_interior(build, method, bounces, roughness):
     # Diffuse albedo d and glossy albedo g: only diffuse reflections count, so that m of them stand for the sum
     # over all numbers of glossy ones between them, d^m / (1 - g)^(m + 1), times d + g for the first after the light.

@@ -100,9 +100,9 @@ def test_lamps_light_and_are_hidden_by_some_objects(emitter, receivers, blockers
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("roughness", [0.0, 0.3])
-@pytest.mark.parametrize("floor_is_lit", [True, False])
-@pytest.mark.parametrize("emitter", ["AREA", "MESH"])
+@pytest.mark.parametrize(
+    ("emitter", "floor_is_lit", "roughness"), [("AREA", True, 0.3), ("AREA", False, 0.0), ("MESH", True, 0.0), ("MESH", False, 0.3)]
+)
 def test_reflections_on_what_is_linked(emitter, floor_is_lit, roughness):
 
     scene, lamp = room(emitter)
