@@ -388,10 +388,11 @@ def _solve(
     glossy = probes.link[knows[sending]] == GLOSSY_LINK
     places = np.ascontiguousarray(places[:, sending])
     parts = [(np.ascontiguousarray(places[:, half[sending] == h]), sends[sending & (half == h)]) for h in range(2)]
-    looked = knows[looked[knows] & (link_cell[knows] != -1) & (seen_cell[knows] >= 0)]
+    here = looked[knows] & (link_cell[knows] != -1) & (seen_cell[knows] >= 0)
+    looked = knows[here]
     sent = probes.direct[looked].sum(axis=1)
     sent_soonest = sent if behind is None else sent - probes.glass[looked].sum(axis=1)
-    looked_up = seen_cell[looked], probes.carry[looked], link_cell[looked], probes.link[looked] == GLOSSY_LINK
+    brings, brought = sending[here], sends[here & sending]
     trust = np.float32(BALANCE / max(1, len(probes.valid) // DEPTH))
     likeness[:] = PRIOR
     sums, scale = np.zeros((count, 2), np.float32), np.ones((count, 1), np.float32)
@@ -420,7 +421,10 @@ def _solve(
             add_to_cells(places, carried, total, threads)
         smooth(total, linked, unit, parent, order, likeness)
         np.add(direct if bounce else soonest, total, out=radiosity[bounce])
-        _balance(sent if bounce else sent_soonest, *looked_up, root, trust, bounce, radiosity, sums, scale)
+        own = (sent if bounce else sent_soonest).copy()
+        # What the cells have got in this turn: of links that take no bounce, what they would bring in the next is already there.
+        own[brings] += np.einsum("nk->n", carried[brought]) / weight[here & sending]
+        _balance(own, seen_cell[looked], root, trust, bounce, radiosity, sums, scale)
         if gathered:
             for h in range(2):
                 smooth(halves[h], linked_of[h], unit, parent, order, _HALF * likeness)
@@ -479,22 +483,17 @@ def _carried(carry, i, radiosity, row, cell):
 
 
 @kernel
-def _balance(sent, seen, carry, link, glossy, root, trust, bounce, radiosity, sums, scale):
+def _balance(sent, seen, root, trust, bounce, radiosity, sums, scale):
     """Scales the cells of each coarsest one so that lookups find as much light there as the probes themselves sent.
 
     What is looked up from afar lies brighter than what hides close by; smoothing over both takes from the first.
-    sent: (M,) the direct light of the probes that may be looked up, sum of the channels.  seen: (M,) the cell that a lookup finds
-    there.  link: (M,) negative where nothing is met.  trust: probes of mean brightness that the whole view counts for.
-    scale: (C, 1), becomes the factors.
+    sent: (M,) the light of the probes that may be looked up, sum of the channels.  seen: (M,) the cell that a lookup finds
+    there.  trust: probes of mean brightness that the whole view counts for.  scale: (C, 1), becomes the factors.
     """
     sums[:] = _0
     for i in range(len(sent)):
-        own = sent[i]
-        row = bounce if glossy[i] else bounce - 1
-        if link[i] >= 0 and row >= 0:
-            own += _carried(carry, i, radiosity, row, link[i])
         at = root[seen[i]]
-        sums[at, 0] += own
+        sums[at, 0] += sent[i]
         for k in range(radiosity.shape[2]):
             sums[at, 1] += radiosity[bounce, seen[i], k]
     whole = found = _0

@@ -7,7 +7,7 @@ from lumigate.core import scene as sc
 from lumigate.core.lamps import build_emitters, direct_irradiance, world_tables
 from lumigate.core.methods.foreseen import EVEN, VISIBLE, foreseen
 from lumigate.core.methods.importance_sampling import ImportanceSampling, light_table
-from lumigate.core.methods.light_cache import DEPTH, Probes, build_light_cache, look_up, no_cache
+from lumigate.core.methods.light_cache import DEPTH, GLOSSY_LINK, Probes, build_light_cache, look_up, no_cache
 from lumigate.core.methods.partition import strengths, trusted
 from lumigate.core.methods.probes import trace_probes
 from lumigate.core.particles import BLUR, ROUND, SHARPEST, SHINE, Vpls, _axis, by_lobe, trace_by_power, trace_particles
@@ -238,6 +238,22 @@ def test_links_carry_light_bounce_after_bounce():
     probes.link_normal[first] = -probes.normal[first]
     cache, _ = build_light_cache(probes, 3, seed=1)
     np.testing.assert_allclose(cache.radiosity[:, :, 0].T, np.tile([1.0, 1.5, 1.75], (len(cache.share), 1)), rtol=1e-4)
+
+
+def test_links_that_take_no_bounce_pass_light_on_from_sheet_to_sheet():
+    # Light goes through two sheets, as of a lampshade with an inside and an outside, of which only the outer one is looked up.
+    n = 6000
+    probes = probes_on_a_plane(n, lambda x, y: np.ones_like(x))
+    first = np.arange(0, n * DEPTH, DEPTH)
+    sheet = np.arange(n) % 3
+    probes.position[first, 2], probes.distance[first] = sheet, np.where(sheet == 2, 10.0, 0.0)
+    probes.direct[first] = np.choose(sheet, [1.0, 0.0, 0.01])[:, None]
+    through = first[sheet > 0]
+    probes.carry[through], probes.link[through] = 0.5, GLOSSY_LINK
+    probes.link_position[through], probes.link_normal[through] = probes.position[through] - (0, 0, 1), probes.normal[through]
+    cache, _ = build_light_cache(probes, 1, seed=1)
+    for height, sent in enumerate((1.0, 0.5, 0.26)):
+        np.testing.assert_allclose(cache.radiosity[0, cache.centre[:, 2] == height, 0], sent, rtol=1e-3)
 
 
 def test_what_lights_carry_of_a_cell_has_no_bias_by_its_noise():
