@@ -103,7 +103,7 @@ class Vpls(NamedTuple):
     the surface itself hides of a glossy reflection included); the irradiance at a point x is flux / pi * cos cos' / r^2.
     emitter: (M,) int32, where the light came from.  bounce: (M,) int32, 1 for light that left one surface.
     side: (M,) int32, of the surface, as `surface_side` has it.  shine: (M,) uint8, `SHINE` where a lamp's light was reflected by a glossy lobe,
-    `THROUGH` where other light was reflected by a glossy lobe or came through a translucent surface, else 0.
+    `THROUGH` where other light was reflected by a glossy lobe, else 0.
     sharpness: (M,) float32, b of a light that shines with (1 + b) c / (1 + b (1 - c^2))^2 instead of the cosine c.
     lobe: (M, LOBE) float32, row of `surfaces.lobes` of what such a light stands for, whose `ALPHA` is below 0 where it is none (`by_lobe`).
     """
@@ -497,7 +497,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     vpls.lobe[n, ALPHA] = -_1
                     shine = np.uint8(0)
                     if bounce > 0:
-                        shine = np.uint8(THROUGH if glossy or transmitted else 0)
+                        shine = np.uint8(THROUGH if glossy else 0)
                     elif glossy:
                         shine = np.uint8(SHINE)
                     if glossy:

@@ -37,7 +37,7 @@ MOST_TURNS = 8  # of glossy reflections in the cache
 LEAST_SEEN = np.float32(0.2)  # of the mean over all views: what a probe tells that sees less, all but along the surface, would be a spark
 CHUNK = 16384  # probes a chunk
 FEW_PROBES = 16384  # which tell about the size of the cells
-MISSED, DIFFUSE_LINK, GLOSSY_LINK = 0, 1, 2
+MISSED, DIFFUSE_LINK, GLOSSY_LINK, TRANSLUCENT_LINK = 0, 1, 2, 3
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _HALF = np.float32(0.5)
@@ -55,7 +55,7 @@ class Probes(NamedTuple):
     carry: (N, 3) float32, the same for each unit that the linked surface sends.
     albedo: (N, 3) float32, what it reflects of any irradiance by its diffuse lobe, of the first probe of each path.  error: (N,) float32, rounding error of the position (m).
     link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
-    reflection, 2 by a glossy one.  side, link_side: (N,) int32, as `surface_side` has them.
+    reflection, 2 by a glossy one, 3 through a translucent surface.  side, link_side: (N,) int32, as `surface_side` has them.
     distance: (N,) float32, from where the path came (m).  cosine: (N,) float32, of the way there with the normal.  valid: (N,) uint8, whether the path came so far.
     """
 
@@ -337,7 +337,7 @@ def _solve(
 
     Returns (2, C) float32: the weight of the probes of each cell, of either half; `order` and `unit` of `Links`.
     """
-    count, turns = len(parent), _glossy_turns(probes)
+    count, turns = len(parent), _turns_to_settle(probes)
     order = np.argsort(-level_of.astype(np.int64), kind="stable")
     knows = np.flatnonzero(probes.valid > 0)
     half = _half(knows)
@@ -385,7 +385,8 @@ def _solve(
     sending = link_cell[knows] >= 0
     link, sends = link_cell[knows[sending]], np.cumsum(sending) - 1
     carry = weight[sending, None] * probes.carry[knows[sending]]
-    glossy = probes.link[knows[sending]] == GLOSSY_LINK
+    kinds = probes.link[knows[sending]]
+    free, glossy = kinds != DIFFUSE_LINK, kinds == GLOSSY_LINK
     places = np.ascontiguousarray(places[:, sending])
     parts = [(np.ascontiguousarray(places[:, half[sending] == h]), sends[sending & (half == h)]) for h in range(2)]
     here = looked[knows] & (link_cell[knows] != -1) & (seen_cell[knows] >= 0)
@@ -398,14 +399,14 @@ def _solve(
     sums, scale = np.zeros((count, 2), np.float32), np.ones((count, 1), np.float32)
     linked = linked_of.sum(axis=0)
     carried = np.empty((len(link), direct.shape[1]), np.float32)
-    # Glossy links take no bounce: what they carry is found turn by turn.
+    # Glossy and translucent links take no bounce: what they carry is found turn by turn.
     schedule = [(bounce, first) for bounce in range(len(radiosity)) for first in _turns(turns, bounce)]
     for step, (bounce, first) in enumerate(schedule):
         go_on(0.4 + 0.6 * step / len(schedule))
         if first and turns > 1 and bounce > 0:
             radiosity[bounce] = radiosity[bounce - 1]
         run_chunks(
-            lambda begin, end, bounce=bounce: carry_over(link, carry, glossy, radiosity, bounce, begin, end, carried),
+            lambda begin, end, bounce=bounce: carry_over(link, carry, free, radiosity, bounce, begin, end, carried),
             len(link),
             CHUNK,
             threads,
@@ -463,10 +464,10 @@ def _scatter(cell, values, out):
 
 
 @kernel
-def carry_over(link, carry, glossy, radiosity, bounce, begin, end, carried):
-    """What the links begin..end-1 carry in a bounce into `carried` (M, 3 G)."""
+def carry_over(link, carry, free, radiosity, bounce, begin, end, carried):
+    """What the links begin..end-1 carry in a bounce, of which those that are `free` take none, into `carried` (M, 3 G)."""
     for i in range(begin, end):
-        row = bounce if glossy[i] else bounce - 1
+        row = bounce if free[i] else bounce - 1
         for c in range(0, carried.shape[1], 3):
             for k in range(3):
                 carried[i, c + k] = carry[i, k] * radiosity[row, link[i], c + k] if row >= 0 else _0
@@ -572,7 +573,7 @@ def _brightness(probes, half, cells, link_cell, parent, level_of, prior, radiosi
         light = _0
         for k in range(probes.direct.shape[1]):
             light += probes.direct[p, k]
-        row = len(radiosity) - (1 if probes.link[p] == GLOSSY_LINK else 2)
+        row = len(radiosity) - (2 if probes.link[p] == DIFFUSE_LINK else 1)
         if link_cell[p] >= 0 and row >= 0:
             light += _carried(probes.carry, p, radiosity, row, link_cell[p])
         for level in range(LEVELS):
@@ -764,10 +765,10 @@ def _met(probes: Probes, mirrors: np.ndarray | None) -> np.ndarray:
     return met
 
 
-def _glossy_turns(probes: Probes) -> int:
-    """Rounds after which chains of glossy reflections carry less than a hundredth of what they began with."""
-    glossy = probes.link == GLOSSY_LINK
-    kept = float(probes.carry[glossy].mean(axis=1).sum()) / max(1, int((probes.valid > 0).sum()))
+def _turns_to_settle(probes: Probes) -> int:
+    """Rounds after which chains of links that take no bounce carry less than a hundredth of what they began with."""
+    free = probes.link > DIFFUSE_LINK
+    kept = float(probes.carry[free].mean(axis=1).sum()) / max(1, int((probes.valid > 0).sum()))
     return 1 + (int(np.clip(np.ceil(np.log(0.01) / np.log(min(kept, 0.8))), 1, MOST_TURNS)) if kept > 0 else 0)
 
 

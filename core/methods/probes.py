@@ -24,7 +24,7 @@ from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .light_cache import DEPTH, DIFFUSE_LINK, GLOSSY_LINK, Probes, unknown_paths
+from .light_cache import DEPTH, DIFFUSE_LINK, GLOSSY_LINK, TRANSLUCENT_LINK, Probes, unknown_paths
 from .tails import DIMENSIONS, scatter_light
 
 # (scene, points, paths, seed, threads, progress) -> probes along about as many paths from the points, and the rays traced.
@@ -95,7 +95,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, points
             gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
         if vertex > 0:
             link = probe - 1
-            probes.link[link] = DIFFUSE_LINK if kinds == DIFFUSE else GLOSSY_LINK  # translucent surfaces count as no bounce, either
+            probes.link[link] = DIFFUSE_LINK if kinds == DIFFUSE else GLOSSY_LINK if kinds == GLOSSY else TRANSLUCENT_LINK
             probes.link_position[link, 0], probes.link_position[link, 1], probes.link_position[link, 2] = x, y, z
             probes.link_side[link] = side
             probes.link_normal[link, 0], probes.link_normal[link, 1], probes.link_normal[link, 2] = gx, gy, gz

@@ -252,7 +252,7 @@ def path_light(
         if kinds != GLOSSY:
             entered = OUTSIDE
         wr, wg, wb = wr * tr, wg * tg, wb * tb
-        if vertex == 0 and kinds != DIFFUSE:  # lights carry none of what lobes reflect of other surfaces, nor of what comes through
+        if vertex == 0 and kinds == GLOSSY:  # lights carry none of what lobes reflect of other surfaces, but all that comes through
             wr, wg, wb = whole * wr, whole * wg, whole * wb
             last = _1
         elif kinds == DIFFUSE and left == 0:

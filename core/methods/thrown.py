@@ -12,7 +12,7 @@ import numpy as np
 
 from ..jit import kernel
 from ..threads import run_chunks
-from .light_cache import CHUNK, DEPTH, DIFFUSE_LINK, GLOSSY_LINK, PRIOR, LightCache, Links, Probes, add_to_cells, carry_over, smooth
+from .light_cache import CHUNK, DEPTH, DIFFUSE_LINK, PRIOR, LightCache, Links, Probes, add_to_cells, carry_over, smooth
 
 LITTLE = 0.01  # of the light that links carry: below it the direction of what lobes reflect is not worth a ray
 ENOUGH = 32768  # probes that get a ray: their cells and those around them share what they find
@@ -95,13 +95,13 @@ def _reflected(probes: Probes, links: Links, more: np.ndarray, bounces: int, thr
     rows = np.zeros((bounces, *more.shape), np.float32)
     rows[1:] = more
     known = np.flatnonzero((probes.valid > 0) & (links.link_cell != -1))
-    weight, glossy = links.weight[known, None], probes.link[known] == GLOSSY_LINK
+    weight, free = links.weight[known, None], probes.link[known] != DIFFUSE_LINK
     link, carry = np.maximum(links.link_cell[known], 0), np.where(links.link_cell[known, None] >= 0, weight * probes.carry[known], _0)
     carried = np.empty((len(known), more.shape[1]), np.float32)
     for bounce in range(2, min(bounces, FARTHEST)):
 
         def work(begin: int, end: int, bounce: int = bounce) -> None:
-            carry_over(link, carry, glossy, rows, bounce, begin, end, carried)
+            carry_over(link, carry, free, rows, bounce, begin, end, carried)
 
         run_chunks(work, len(known), CHUNK, threads)
         rows[bounce:] = more + _spread_over(links, known, carried, weight, threads)

@@ -134,6 +134,37 @@ def test_light_leaves_a_translucent_ball(balls, method, more, bound, bounces):
     assert not layers["Direct"][walls].any()
 
 
+def test_light_leaves_a_shade_of_two_sheets(build):
+    """Of a ball within a ball, which both are translucent, a centimetre apart and turned out to either side, as of a solidified sheet."""
+    shells = [build.icosphere(2, radius) for radius in (0.5, 0.51, 2.0)]
+    shells[0] = shells[0][0], np.ascontiguousarray(shells[0][1][:, ::-1])
+    stuff = build.translucent_materials((ALBEDO, 0.0), (WALL, 0.0), transmittance=[THROUGH, 0.0])
+    vertices, triangles, material = build.join(*((*shell, number) for shell, number in zip(shells, (0, 0, 1))))
+    scene = build.scene(
+        build.geometry(vertices, triangles, material), stuff, lamps=build.lamp(sc.POINT, INTENSITY), camera=build.camera(position=(0, 0, 1.6), angle=1.9)
+    )  # fmt: skip
+    # Inner ball's inside and outside, outer ball's inside and outside, wall: irradiance by radiosity.
+    within, between = (area(*shells[k]) / area(*shells[k + 1]) for k in (0, 1))
+    arrives = np.zeros((5, 5))
+    arrives[0, 0] = arrives[1, 2] = arrives[3, 4] = 1
+    arrives[2, 1:3] = within, 1 - within
+    arrives[4, 3:5] = between, 1 - between
+    passes = np.zeros((5, 5))
+    passes[[0, 1, 2, 3], [1, 0, 3, 2]] = THROUGH
+    solve, reflects = np.linalg.inv(np.eye(5) - passes @ arrives), np.diag([ALBEDO] * 4 + [WALL])
+    radiosity = solve @ (reflects + passes) @ np.array([4 * math.pi * INTENSITY / area(*shells[0]), 0, 0, 0, 0])
+    wall = 0.0
+    for _ in range(4):
+        wall += (arrives @ radiosity)[4]
+        radiosity = solve @ reflects @ arrives @ radiosity
+    shown = [layers_of(scene, seed, bounces=4, vpls=2048, pixel_samples=4, method="importance-sampling") for seed in SEEDS]
+    away = np.mean([one["Position"] for one in shown], axis=0) - (0, 0, 1.6)
+    walls = np.degrees(np.arccos(-away[..., 2] / np.linalg.norm(away, axis=2))) > 26  # the ball's edge is at 19 degrees
+    found = np.array([one["DiffuseIndirect"][walls].mean(dtype=float) for one in shown])
+    assert found.mean() == pytest.approx(WALL * wall / math.pi, rel=0.05)
+    assert found.std() < 0.08 * found.mean()
+
+
 def test_a_lightmap_holds_what_the_whole_colour_makes_the_light(build):
     """Lit from behind, the texels of a sheet hold the transmitted part; the colour times that is what the sheet sends."""
     scene = sheet_over_lamp(build)
