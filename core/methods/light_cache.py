@@ -400,7 +400,7 @@ def _solve(
     linked = linked_of.sum(axis=0)
     carried = np.empty((len(link), direct.shape[1]), np.float32)
     # Glossy and translucent links take no bounce: what they carry is found turn by turn.
-    schedule = [(bounce, first) for bounce in range(len(radiosity)) for first in _turns(turns, bounce)]
+    schedule = [(bounce, turn == 0) for bounce in range(len(radiosity)) for turn in range(turns)]
     for step, (bounce, first) in enumerate(schedule):
         go_on(0.4 + 0.6 * step / len(schedule))
         if first and turns > 1 and bounce > 0:
@@ -506,8 +506,9 @@ def _balance(sent, seen, root, trust, bounce, radiosity, sums, scale):
     known = trust * found
     for c in range(len(root)):
         at = root[c]
-        # The factor of the whole view stands in where few probes know better.
-        factor = (sums[at, 0] + known * whole / found) / max(sums[at, 1] + known, np.float32(1e-30))
+        # The factor of the whole view stands in where few probes know better, but none of it where nothing is looked up: from link to link it
+        # would be taken again and again.
+        factor = (sums[at, 0] + known * whole / found) / max(sums[at, 1] + known, np.float32(1e-30)) if sums[at, 1] > _0 else _1
         factor = min(MOST_BALANCE, max(_1 / MOST_BALANCE, factor))
         for k in range(radiosity.shape[2]):
             radiosity[bounce, c, k] *= factor
@@ -770,11 +771,6 @@ def _turns_to_settle(probes: Probes) -> int:
     free = probes.link > DIFFUSE_LINK
     kept = float(probes.carry[free].mean(axis=1).sum()) / max(1, int((probes.valid > 0).sum()))
     return 1 + (int(np.clip(np.ceil(np.log(0.01) / np.log(min(kept, 0.8))), 1, MOST_TURNS)) if kept > 0 else 0)
-
-
-def _turns(turns: int, bounce: int) -> list[bool]:
-    """The rounds of a bounce, True for its first.  Each bounce begins with the light of the one before, of which little is missing."""
-    return [turn == 0 for turn in range(max(1, turns - bounce))]
 
 
 @kernel

@@ -68,8 +68,8 @@ def test_glossy_sphere_interior(build, method, bounces, roughness):
     of_glossy, of_diffuse = drawn_from_lobe(d, g, roughness)
     # Virtual lights alone, as of the other methods, cannot tell directions apart.
     of_diffuse *= method == "importance-sampling"
-    # Importance sampling by so few lights, in pictures of so few pixels, loses 1 % after four bounces, with photons or without.
-    lost = 0.015 if method == "importance-sampling" and bounces == 4 else 0.01
+    # Each bounce is followed through its glossy reflections, the last one, too: without, importance sampling loses 1 % after four.
+    lost = 0.006 if method == "importance-sampling" and bounces == 4 else 0.01
     assert irradiance == pytest.approx(np.pi * (sum(terms[:bounces]) + of_diffuse * terms[bounces]), rel=lost)
     assert glossy == pytest.approx(g * (sum(terms[:bounces]) + of_glossy * terms[bounces]), rel=0.02)
 
