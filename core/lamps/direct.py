@@ -852,6 +852,7 @@ def _trace(scene, packet, rows, surface, points, start, rays, n):
             if begin + lane < end and rays.ray[begin + lane, 6] >= _0:
                 cast += 1
                 if _is_apart(scene.emitters, rays.kind[begin + lane]):
+                    cast += 1
                     disable_ray(packet, lane)
                     continue
                 p = rays.ray[begin + lane]

@@ -150,20 +150,22 @@ def test_an_open_world_has_no_noise_with_gather_rays():
     assert np.allclose(with_gathered(light, points, 8, 1, gathered), 0.7 * math.pi, rtol=1e-3)
 
 
-@pytest.mark.parametrize("even", [False, True], ids=["uneven", "even"])
+@pytest.mark.parametrize("sky", ["even", "uneven", "beside a sun"])
 @pytest.mark.parametrize("kind", [sc.DIFFUSE, sc.SHADOW], ids=["no shadow", "shadow only"])
-def test_a_roof_that_gather_rays_and_shadow_rays_see_differently(build, kind, even):
+def test_a_roof_that_gather_rays_and_shadow_rays_see_differently(build, kind, sky):
     """As Cycles, which finds an even sky by scattered rays alone, and an uneven one by both, each with its share (power heuristic)."""
     floor = [(-9, -9, -1), (9, -9, -1), (9, 9, -1), (-9, 9, -1)]
     roof = [(-9000, -9000, 1), (9000, -9000, 1), (9000, 9000, 1), (-9000, 9000, 1)]
     g = build.geometry(*build.quads(floor, roof), np.repeat([0, 1], 2))
     g.object[2:] = 1
     g.object_names, g.object_visibility = ["floor", "roof"], np.array([sc.ALL_RAYS, kind], np.uint8)
-    world = (1, 1, 1) if even else np.where(np.arange(16) % 2, 0.99, 1.01)[None, :, None] * np.ones((8, 16, 3))
+    world = (1, 1, 1) if sky == "even" else np.where(np.arange(16) % 2, 0.99, 1.01)[None, :, None] * np.ones((8, 16, 3))
     scene = build.scene(g, build.materials((0.5, 0.0), (0.0, 0.0)), world=world, camera=build.camera())
-    direct = render(scene, RenderSettings(pixel_samples=1, denoise=False)).layers["Direct"]
-    # Densities 1 / (4 pi) and cos / pi: the integral of 2 c / (1 + 16 c^2) over cosines c.
-    by_shadow_rays = 0.0 if even else math.log(17) / 16
+    if sky == "beside a sun":
+        scene.world.sought = 0.2
+    direct = render(scene, RenderSettings(pixel_samples=1, direct_samples=64, denoise=False)).layers["Direct"]
+    # Densities s / (4 pi) and cos / pi: the integral of 2 c / (1 + (4 c / s)^2) over cosines c.
+    by_shadow_rays = {"even": 0.0, "uneven": math.log(17) / 16, "beside a sun": math.log(401) / 400}[sky]
     assert direct.mean() == pytest.approx(0.5 * (by_shadow_rays if kind == sc.DIFFUSE else 1 - by_shadow_rays), abs=0.003)
 
 

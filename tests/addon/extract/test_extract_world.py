@@ -193,6 +193,7 @@ def test_sun_disc_of_a_sky_becomes_a_lamp_of_the_same_light(stage, sky, monkeypa
     scene = stage.extract()
     assert scene.lamps.kind.tolist() == [SUN]
     assert scene.lamps.angle[0] == pytest.approx(node.sun_size)
+    assert scene.world.sought == 0.2  # Cycles seeks the sun disc four times as often as the sky
     assert node.sun_disc  # the user's node is as it was
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     stage.receiver()
