@@ -291,7 +291,14 @@ def _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, k
 
 @leaf
 def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered, cosine):
-    """Share of light (r, g, b) of emitter e that a shadow ray lets through up to t = end, and the share of that which passed no glass.
+    """`passed_straight`, with what a lens throws elsewhere as if it went straight on."""
+    r, g, b, clear = passed_straight(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered, cosine)
+    return r, g, b, max(_0, clear)
+
+
+@leaf
+def passed_straight(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered, cosine):
+    """Share of light (r, g, b) of emitter e that a shadow ray lets through up to t = end, and the share of that which passed no glass, -1 where a lens is in the way.
 
     entered: solids of glass that the path has entered before.  cosine: at which the ray leaves its surface.
     """
@@ -302,8 +309,7 @@ def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered
             return _0, _0, _0, _1
         if not scene.emitters.cutouts:
             return _1, _1, _1, _1
-    r, g, b, clear = _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, kind, entered, cosine)
-    return r, g, b, max(_0, clear)
+    return _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, kind, entered, cosine)
 
 
 @leaf

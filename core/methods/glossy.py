@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from ..lamps.direct import aimed_density, direct_light, expected_samples, is_turned, passed, set_point_lobe
+from ..lamps.direct import aimed_density, direct_light, expected_samples, is_turned, passed_straight, set_point_lobe
 from ..lamps.links import is_hidden_alike, lights
 from ..lamps.lookup import emitter_of, lamp_along, share_of
 from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, SHARP, TEXTURED, WORLD
@@ -25,6 +25,7 @@ from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.sequences import sobol
 from ..scene import CONSTANT, EMISSIVE, GLOSSY, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT
+from ..surfaces.bending import nearest_reflected
 from ..surfaces.brushed import is_brushed
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import (
@@ -44,7 +45,7 @@ from ..surfaces.layout import (
 from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, lobe_cosine, reflection_count, sample_lobe
 from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import evaluate, from_within, new_registers, specular_view
-from ..surfaces.visibility import OUTSIDE, nearest_surface
+from ..surfaces.visibility import OUTSIDE
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
@@ -66,6 +67,7 @@ from .wide_lobes import (
 CHUNK = 512  # points a chunk
 BLOCK = 65536  # points whose reflections are followed together: bounds the memory
 MAX_REFLECTIONS = 32  # from mirror to mirror
+SHARED, WHOLE = 1, 2  # lamps that rays find, beside shadow rays and alone: from within glass shadow rays would go straight
 _SURE = 3  # reflections after which chance ends dim paths
 # Shares of the narrow lobe in all that a surface reflects: beyond the first the cache, to which all is diffuse, does not know
 # what is seen; beyond the second the surface is a mirror to the denoiser's guide.
@@ -92,12 +94,39 @@ def _add_shining(shown, by_glass, i, c, clear, r, g, b):
 
 
 @leaf
+def _radiance_along(emitters, e, rows, surface, x, y, z, dx, dy, dz, t):
+    """Radiance (r, g, b) of lamp e at the distance t along d."""
+    r, g, b = emitters.radiance[e, 0], emitters.radiance[e, 1], emitters.radiance[e, 2]
+    if emitters.flags[e] & TEXTURED:
+        sr, sg, sb = shown_from(
+            emitters.materials,
+            emitters.attributes,
+            emitters.kind[e],
+            emitters.flags[e],
+            emitters.lamps,
+            e,
+            x,
+            y,
+            z,
+            dx,
+            dy,
+            dz,
+            t,
+            rows,
+            surface,
+        )
+        r, g, b = r * sr, g * sg, b * sb
+    return r, g, b
+
+
+@leaf
 def _lamps_along(
-    scene, packet, rows, surface, on, expected, estimate, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, entered, wr, wg, wb,
-    shown, by_glass, i,
+    scene, packet, rows, surface, on, expected, estimate, drawn, turned, bends, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, entered,
+    wr, wg, wb, shown, by_glass, i,
 ):  # fmt: skip
     """Adds the radiance of the lamps along d, weighed by w and the share of rays drawn with the density `drawn`, to row i of `shown`, or of
     `by_glass`, of a point of the triangle `on`.  Lamps hide nothing, neither each other nor what lies behind them.  turned: whether sharp ones have `highlights` there.
+    What a lens lets through is left to `_lamps_beyond` where glass `bends` the ray; shadow rays have none of it.
     """
     emitters = scene.emitters
     for e in range(len(emitters.source)):
@@ -106,40 +135,43 @@ def _lamps_along(
         t, w = lamp_along(emitters, e, x, y, z, dx, dy, dz)
         if not w > _0 or not lights(emitters, e, scene.object, on):
             continue
-        w *= share_of(drawn, aimed_density(emitters, expected, estimate, e, x, y, z, sx, sy, sz, dx, dy, dz))
         tr = tg = tb = clear = _1
         if emitters.flags[e] & CASTS_SHADOW:
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-            tr, tg, tb, clear = passed(
+            tr, tg, tb, clear = passed_straight(
                 scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, t * _SHORT, entered, max(_0, sx * dx + sy * dy + sz * dz)
             )
-        tr, tg, tb = wr * w * tr * emitters.radiance[e, 0], wg * w * tg * emitters.radiance[e, 1], wb * w * tb * emitters.radiance[e, 2]
-        if emitters.flags[e] & TEXTURED:
-            sr, sg, sb = shown_from(
-                emitters.materials,
-                emitters.attributes,
-                emitters.kind[e],
-                emitters.flags[e],
-                emitters.lamps,
-                e,
-                x,
-                y,
-                z,
-                dx,
-                dy,
-                dz,
-                t,
-                rows,
-                surface,
-            )
-            tr, tg, tb = tr * sr, tg * sg, tb * sb
-        _add_shining(shown, by_glass, i, 3 * emitters.light_group[e], clear, tr, tg, tb)
+        if clear < _0:
+            if bends:
+                continue
+            clear = _0
+        else:
+            w *= share_of(drawn, aimed_density(emitters, expected, estimate, e, x, y, z, sx, sy, sz, dx, dy, dz))
+        r, g, b = _radiance_along(emitters, e, rows, surface, x, y, z, dx, dy, dz, t)
+        _add_shining(shown, by_glass, i, 3 * emitters.light_group[e], clear, wr * w * tr * r, wg * w * tg * g, wb * w * tb * b)
+
+
+@leaf
+def _lamps_beyond(scene, rows, surface, on, x, y, z, dx, dy, dz, reach, wr, wg, wb, by_glass, i):
+    """Adds the radiance of the lamps nearer than `reach` along d, which a lens has turned towards a point of the triangle `on`, weighed by w, to row i of `by_glass`."""
+    emitters = scene.emitters
+    for e in range(len(emitters.source)):
+        if not emitters.flags[e] & SEEN_BY_GLOSSY:
+            continue
+        t, w = lamp_along(emitters, e, x, y, z, dx, dy, dz)
+        if not w > _0 or not t < reach or not lights(emitters, e, scene.object, on):
+            continue
+        r, g, b = _radiance_along(emitters, e, rows, surface, x, y, z, dx, dy, dz, t)
+        c = 3 * emitters.light_group[e]
+        by_glass[i, c] += w * wr * r
+        by_glass[i, c + 1] += w * wg * g
+        by_glass[i, c + 2] += w * wb * b
 
 
 @kernel
 def _reflect_chunk(
     scene, cache, near, row, points, owner, begin, end, samples, most, roulette, seed, first, clear, shared, further, lit, shown, known, guide, hits,
-    mirror, sure, more, lit_by_photons,
+    mirror, sure, more, lit_hits,
 ):  # fmt: skip
     """Draw up to `most` rays from the lobe of each point begin..end-1: emission that they meet is added to `shown` (N, 3 G), or to `known`
     where it passed glass.
@@ -148,7 +180,7 @@ def _reflect_chunk(
     weight of their ray; one with a narrow lobe reflects (mirror (H,) is 1) or is diffuse (0) at random.  Where the lobe is
     wider than the cells of the cache, and the surface farther than `near`, what it sends by row `row` is added to `known` (N, 3 G), and by the
     row before to the extent that Cycles counts the ray as a diffuse one (`wide_lobes.drawn_share`); more (H,) is 0 where it does, at random, else 1.
-    lit: (N,) uint8, 0 for points to which photons bring the emitters' light.  lit_by_photons: (H,) uint8, 1 for hits of which that is so.
+    lit: (N,) uint8, how their points get the emitters' light: 0 by photons, `WHOLE` by these rays alone, else by shadow rays, too.  lit_hits: (H,) uint8, the same of the hits.
     further: (N,) uint8, the `more` that stays what it was found to be, empty where it is to be found.
     clear: (N,) uint8, whether only mirrors lie between the point and the eye; then what its rays meet adds its diffuse albedo to
     `guide` (N, 3), as it is on average, and sure (H,) says whether that meets a mirror itself.
@@ -188,20 +220,26 @@ def _reflect_chunk(
             wr, wg, wb = wr / np.float32(n), wg / np.float32(n), wb / np.float32(n)
             vr, vg, vb = wr, wg, wb  # before what lies on the way
             rays += 1
-            if lit[i]:
+            if lit[i] == SHARED:
                 _lamps_along(
-                    scene, packet, rows, surface, points.triangle[i], expected, estimate, drawn, turned, x, y, z, error, gx, gy, gz, sx, sy, sz, dx,
-                    dy, dz, entered, wr, wg, wb, shown, known, i,
+                    scene, packet, rows, surface, points.triangle[i], expected, estimate, drawn, turned, not wide, x, y, z, error, gx, gy, gz,
+                    sx, sy, sz, dx, dy, dz, entered, wr, wg, wb, shown, known, i,
                 )  # fmt: skip
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-            triangle, u, v, t, tr, tg, tb, unbroken, inside = nearest_surface(
-                scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), GLOSSY, key, index, 0, entered
+            # What wide lobes find straight rays find, too: both must go the same way.
+            triangle, u, v, t, tr, tg, tb, unbroken, inside, by_lens, ox, oy, oz, ex, ey, ez, before = nearest_reflected(
+                scene, packet, rows, surface, not wide, ox, oy, oz, dx, dy, dz, key, index, 0, entered
             )
             wr, wg, wb = wr * tr, wg * tg, wb * tb
+            alone = lit[i] == WHOLE or by_lens
+            if alone and lit[i] and not wide:
+                _lamps_beyond(scene, rows, surface, points.triangle[i], ox, oy, oz, ex, ey, ez, t - before, wr, wg, wb, known, i)
             if triangle < 0:
                 if world and lit[i]:
-                    share = share_of(drawn, aimed_density(emitters, expected, estimate, shining, x, y, z, sx, sy, sz, dx, dy, dz))
-                    r, g, b = world_radiance(emitters.world, dx, dy, dz)
+                    share = _1
+                    if not alone:
+                        share = share_of(drawn, aimed_density(emitters, expected, estimate, shining, x, y, z, sx, sy, sz, dx, dy, dz))
+                    r, g, b = world_radiance(emitters.world, ex, ey, ez)
                     c = 3 * emitters.light_group[shining]
                     _add_shining(shown, known, i, c, unbroken, share * wr * r, share * wg * g, share * wb * b)
                 continue
@@ -209,8 +247,8 @@ def _reflect_chunk(
             flags = scene.materials.flags[material]
             px, py, pz, hx, hy, hz, p_error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
             nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, hx, hy, hz)
-            behind = hx * dx + hy * dy + hz * dz > 0
-            cosine = min(_1, abs(nx * dx + ny * dy + nz * dz))
+            behind = hx * ex + hy * ey + hz * ez > 0
+            cosine = min(_1, abs(nx * ex + ny * ey + nz * ez))
             narrow = max(surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]) > NEGLIGIBLE and (
                 surface[ROUGHNESS] < NARROW or is_brushed(surface)
             )
@@ -223,12 +261,12 @@ def _reflect_chunk(
                 nx, ny, nz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
             if behind:
                 hx, hy, hz, nx, ny, nz = -hx, -hy, -hz, -nx, -ny, -nz
-            cosine = lobe_cosine(nx, ny, nz, hx, hy, hz, -dx, -dy, -dz)
+            cosine = lobe_cosine(nx, ny, nz, hx, hy, hz, -ex, -ey, -ez)
             e = emitter_of(emitters, triangle) if flags & EMISSIVE else -1
             found = e >= 0 and not (lit[i] and is_hidden_alike(emitters, e) and lights(emitters, e, scene.object, points.triangle[i]))
             if flags & EMISSIVE and not found:
                 share = _1
-                if e >= 0:
+                if e >= 0 and not alone:
                     share = share_of(drawn, aimed_density(emitters, expected, estimate, e, x, y, z, sx, sy, sz, dx, dy, dz))
                 c = 3 * emitters.object_light_group[scene.object[triangle]]
                 r, g, b = share * wr * surface[EMISSION], share * wg * surface[EMISSION + 1], share * wb * surface[EMISSION + 2]
@@ -255,13 +293,13 @@ def _reflect_chunk(
                 cell = find_cell(
                     cache, px, py, pz, hx, hy, hz, surface_side(scene.materials, material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
                 )  # fmt: skip
-                seen = -(hx * dx + hy * dy + hz * dz)
+                seen = -(hx * ex + hy * ey + hz * ez)
                 if cell >= 0 and (shares or thrown):
                     part, carried = _1, _0
                     if shares:
                         part = balance(drawn, gather_density(shared.gather[i], across))
                     if shares and shared.lights:
-                        clamped = min(_1, shared.g_max * t * t / max(across * abs(hx * dx + hy * dy + hz * dz), np.float32(1e-20)))
+                        clamped = min(_1, shared.g_max * t * t / max(across * abs(hx * ex + hy * ey + hz * ez), np.float32(1e-20)))
                         each = density * np.float32(n)
                         carried = clamped * bound(lobe, across, each * vr, each * vg, each * vb)
                     turned = more_by_view(cache, cell, seen)
@@ -283,7 +321,7 @@ def _reflect_chunk(
                     continue
                 wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
             mirror[n_hits] = sure[n_hits] = 0
-            lit_by_photons[n_hits] = thrown
+            lit_hits[n_hits] = 0 if thrown else WHOLE if flags & REFRACTIVE and behind else SHARED
             more[n_hits] = uniform(key, index, 1, 5) < glossy
             if clear[i]:
                 guide[i, 0] += wr * (ar + lr)
@@ -321,7 +359,7 @@ def _reflect_chunk(
             hits.position[n_hits, 0], hits.position[n_hits, 1], hits.position[n_hits, 2] = px, py, pz
             hits.ng[n_hits, 0], hits.ng[n_hits, 1], hits.ng[n_hits, 2] = hx, hy, hz
             hits.ns[n_hits, 0], hits.ns[n_hits, 1], hits.ns[n_hits, 2] = nx, ny, nz
-            hits.wo[n_hits, 0], hits.wo[n_hits, 1], hits.wo[n_hits, 2] = -dx, -dy, -dz
+            hits.wo[n_hits, 0], hits.wo[n_hits, 1], hits.wo[n_hits, 2] = -ex, -ey, -ez
             hits.error[n_hits], hits.roughness[n_hits] = p_error, surface[ROUGHNESS]
             for c in range(4):
                 hits.gloss[n_hits, c] = surface[GLOSS + c]
@@ -336,21 +374,21 @@ def _draw(
     roulette: bool, seed: int, threads: int, first: int, clear: np.ndarray, shared: SharedRays, further: np.ndarray, lit: np.ndarray,
 ):  # fmt: skip
     """Rays from all points -> (emission met (N, 3 G), light of the cache (N, 3 G), guide (N, 3), diffuse hits, mirrors hit, whether
-    each of these is sure to be one, whether diffuse hits and mirrors have one bounce more, number of rays)."""
+    each of these is sure to be one, whether diffuse hits and mirrors have one bounce more, how mirrors get the lamps' light, number of rays)."""
     shown, known = (scene.emitters.no_light(len(owner)) for _ in range(2))
     guide = np.zeros((len(owner), 3), np.float32)
     known_by, starts = Reference(cache), Reference(points)
 
     def work(begin, end):
         room = ShadingPoints.allocate((end - begin) * most)
-        mirror, sure, more, photons = (np.empty((end - begin) * most, np.uint8) for _ in range(4))
+        mirror, sure, more, lamps = (np.empty((end - begin) * most, np.uint8) for _ in range(4))
         n, rays = _reflect_chunk(
             scene, known_by, np.float32(near), row, starts, owner, begin, end, samples, most, roulette, np.uint32(seed), np.int64(first), clear,
-            shared, further, lit, shown, known, guide, Reference(room), mirror, sure, more, photons,
+            shared, further, lit, shown, known, guide, Reference(room), mirror, sure, more, lamps,
         )  # fmt: skip
         mirror = mirror[:n].astype(bool)
         room = room.take(slice(0, n))
-        return room.take(~mirror), room.take(mirror), sure[:n][mirror], more[:n][~mirror], more[:n][mirror], 1 - photons[:n][mirror], rays
+        return room.take(~mirror), room.take(mirror), sure[:n][mirror], more[:n][~mirror], more[:n][mirror], lamps[:n][mirror], rays
 
     parts = run_chunks(work, len(owner), CHUNK, threads)
     diffuse, mirrors = (ShadingPoints.concatenate([part[k] for part in parts]) for k in (0, 1))
@@ -427,7 +465,7 @@ def reflect(
                 no_sharing(len(mirrors.pixel)), further, lamps,
             )  # fmt: skip
             _add(albedo[block], mirrors.pixel, guide)
-            _add(indirect[block], mirrors.pixel, lamps[:, None] * (light.glossy + light.glossy_by_glass) + shown + known)
+            _add(indirect[block], mirrors.pixel, (lamps == SHARED)[:, None] * (light.glossy + light.glossy_by_glass) + shown + known)
             lit.append(diffuse)
             deeper.append(more)
             mirrors, sure, further, lamps = seen, surely, beyond, beyond_lamps

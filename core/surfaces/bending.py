@@ -1,4 +1,4 @@
-"""How a ray goes on through glass: bent by Snell's law where it is clear, scattered where it is frosted."""
+"""How a ray goes on through glass: bent by Snell's law where it is clear, scattered where it is frosted, and where one ends that is bent."""
 
 from __future__ import annotations
 
@@ -8,11 +8,15 @@ import numpy as np
 
 from ..jit import leaf
 from ..rays.offsets import hit_point, offset_origin
+from ..rays.trace import ALL, intersect1
+from ..sampling.hashing import uniform
+from ..scene import GLOSSY, REFRACTIVE, TRANSPARENT
 from .arithmetic import normalized
 from .frosted import seen_through
-from .layout import BEND, FROST
+from .layout import BEND, FROST, REFRACTION, TRANSPARENCY, largest_kept
 from .lobes import sample_lobe, set_lobe
-from .normals import mapped_normal, shading_normal
+from .normals import mapped_normal, sees_back, shading_normal
+from .visibility import MAX_PASSED, OUTSIDE, evaluate_along, is_lens, passed_glass
 
 STRAIGHT_ON = np.float32(1e-3)  # distance of an index of refraction from 1 up to which glass bends nothing
 _0 = np.float32(0.0)
@@ -60,3 +64,51 @@ def bent(materials, geometry, material, triangle, u, v, dx, dy, dz, surface):
         return False, x, y, z, dx, dy, dz
     x, y, z = offset_origin(x, y, z, gx, gy, gz, error, tx, ty, tz)
     return True, x, y, z, tx, ty, tz
+
+
+@leaf
+def nearest_reflected(scene, packet, rows, surface, bends, ox, oy, oz, dx, dy, dz, seed, path, dimension, entered):
+    """`nearest_surface` to a ray from a glossy lobe, which clear glass turns where it `bends`: what a polished table shows of a bottle.
+
+    Returns what that does, t being the length of the whole way, and then whether a lens is on it, beyond which no shadow ray finds anything, origin and
+    direction of its last part, and the length of what comes before.
+    """
+    r = g = b = clear = _1
+    ex, ey, ez = dx, dy, dz
+    start = before = x = y = z = _0
+    glasses = 0
+    for layer in range(MAX_PASSED):
+        triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, ex, ey, ez, start, np.float32(np.inf), GLOSSY)
+        turned = is_lens(glasses, x, y, z, dx, dy, dz)
+        if triangle < 0:
+            return -1, _0, _0, np.float32(np.inf), r, g, b, clear, entered, turned, ox, oy, oz, ex, ey, ez, before
+        evaluate_along(scene, triangle, u, v, ex, ey, ez, GLOSSY, entered, rows, surface)
+        flags = scene.materials.flags[scene.material[triangle]]
+        behind = flags & REFRACTIVE != 0 and sees_back(scene.vertices, scene.triangles, triangle, ex, ey, ez)
+        within = entered if behind else OUTSIDE
+        chance = _0
+        if flags & TRANSPARENT:  # in proportion, for what is reflected once more may be as bright: no path is worth more than others
+            through = max(surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2])
+            chance = through / (through + largest_kept(surface)) if through > _0 else _0
+        if uniform(seed, path, dimension, layer) >= chance:
+            rest = _1 / (_1 - chance)
+            return triangle, u, v, before + t, r * rest, g * rest, b * rest, clear, within, turned, ox, oy, oz, ex, ey, ez, before
+        tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
+        r, g, b = r * tr / chance, g * tg / chance, b * tb / chance
+        start = t + np.float32(1e-5) * abs(t)
+        refracted = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
+        if not refracted > _0:
+            continue
+        clear *= max(_0, _1 - refracted / (tr + tg + tb))
+        glasses += 1
+        nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, _0, _0, _0)
+        x, y, z = x + nx, y + ny, z + nz
+        turns = False
+        if bends and not surface[FROST] > _0 and abs(surface[BEND] - _1) > STRAIGHT_ON:
+            turns, px, py, pz, fx, fy, fz = bent(scene.materials, scene, scene.material[triangle], triangle, u, v, ex, ey, ez, surface)
+        if turns:  # it meets the back at the angle at which it is within
+            ox, oy, oz, ex, ey, ez = px, py, pz, fx, fy, fz
+            before, start = before + t, _0
+        else:
+            entered = passed_glass(entered, behind)
+    return -1, _0, _0, np.float32(np.inf), _0, _0, _0, clear, entered, False, ox, oy, oz, ex, ey, ez, before
