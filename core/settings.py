@@ -259,7 +259,7 @@ class RenderSettings:
                 numbers = QUALITIES["medium"]  # passes are planned in units of the usual numbers
         sampled = method in ("importance-sampling", "fuzzy-clustering")
         denoise = sampled if self.denoise is None else self.denoise
-        choice = {"direct_samples": (8, 16), "reflections": (4 if method == "importance-sampling" else 2, 8)}
+        choice = {"direct_samples": (8, 16), "reflections": (6 if method == "importance-sampling" else 2, 8)}
         open_ = {name: few if sampled else many for name, (few, many) in choice.items() if getattr(self, name) is None}
         return replace(self, method=method, denoise=denoise, target_error=goal, **numbers, **open_)
 
@@ -277,8 +277,9 @@ class RenderSettings:
         if quality == 1.0 and number == 0:
             return self
         # What a quick picture begins with (view, cache, denoiser) costs more than its few rays: of those it takes more, of lights fewer.
-        rays, lights = (quality ** (2 / 3), quality**0.75) if quality < 1 else (quality, quality**0.5)
-        parts = dict.fromkeys(("direct_samples", "reflections", "samples", "gather"), rays)
+        # Reflections are what is noisiest in it, and cheap.
+        rays, reflected, lights = (quality ** (2 / 3), quality**0.5, quality**0.75) if quality < 1 else (quality, quality, quality**0.5)
+        parts = dict.fromkeys(("direct_samples", "samples", "gather"), rays) | {"reflections": reflected}
         fewer = {name: max(1, round(part * n)) for name, part in parts.items() if (n := getattr(self, name)) > 0}
         # Primary samples are cheap, and no denoiser mends an edge that few of them have drawn.
         pixel_samples = max(1, round(quality**0.25 * self.pixel_samples))

@@ -197,8 +197,8 @@ def test_without_denoising_more_pixels_are_as_noisy_as_few():
 def test_quick_passes_keep_more_of_their_rays_than_of_their_lights():
     usual = RenderSettings().with_defaults()
     quick, many = usual.scaled(0.25, 1), usual.scaled(4.0, 1)
-    assert (quick.samples, quick.gather, quick.direct_samples, quick.reflections, quick.vpls) == (3, 3, 3, 2, 1448)
-    assert (many.samples, many.gather, many.direct_samples, many.reflections, many.vpls) == (32, 32, 32, 16, 8192)
+    assert (quick.samples, quick.gather, quick.direct_samples, quick.reflections, quick.vpls) == (3, 3, 3, 3, 1448)
+    assert (many.samples, many.gather, many.direct_samples, many.reflections, many.vpls) == (32, 32, 32, 24, 8192)
 
 
 def test_the_denoiser_has_more_time_where_there_are_more_rays():
