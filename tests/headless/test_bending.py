@@ -1,7 +1,11 @@
-"""Glass bends what is seen through it, as in Cycles: a ball shows the room upside down, a thick block and a sheet of one plane displace it."""
+"""Glass bends what is seen through it, as in Cycles: a ball shows the room upside down, a thick block and a sheet of one plane displace it.
+
+So it does for what a glossy floor shows of it, and of the lamp beyond.
+"""
 
 import hashlib
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -36,7 +40,7 @@ def show():
             quad(scene, [(x, 2, z), (x + 1, 2, z), (x + 1, 2, z + 1), (x, 2, z + 1)], colours[(k + row) % 2])
     quad(scene, [(-4, -2, -2), (4, -2, -2), (4, 2, -2), (-4, 2, -2)], colours[1])
     lamp(scene, "AREA", (0, -1.5, 2.5), (math.radians(-40), 0, 0), energy=400.0, size=2.0, seen=False)
-    # What shows of it in glass, reflected inside, is found by rays that go straight.
+    # What shows of it in glass, reflected inside, shadow rays find, which go straight.
     scene.collection.objects[-1].visible_glossy = scene.collection.objects[-1].visible_transmission = False
     glass = material("Glass", Transmission_Weight=1.0, Roughness=0.0, IOR=1.5)
     bpy.ops.mesh.primitive_uv_sphere_add(radius=1.0, location=(-2.4, 0, 0), segments=64, ring_count=32)
@@ -67,3 +71,40 @@ def test_what_is_seen_through_glass_lies_where_cycles_has_it(pictures, thing):
     a, b, mine = (layers["GlossyIndirect"][THINGS[thing]] for layers in (*halves, ours))
     assert np.mean(mine) == pytest.approx((np.mean(a) + np.mean(b)) / 2, rel=0.03)
     assert net_relmse(mine, a, b) < 0.02
+
+
+def polished_floor():
+    """A glossy floor below a ball of glass that the camera does not see, a lamp and boards above, seen from above."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    quad(
+        scene,
+        [(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)],
+        material("Floor", Base_Color=(0.7, 0.7, 0.7, 1), Metallic=1.0, Roughness=0.3),
+    )
+    for x, colour in ((-3, (0.8, 0.1, 0.1)), (0, (0.1, 0.1, 0.8))):
+        board = [(x, -3, 2.5), (x + 3, -3, 2.5), (x + 3, 3, 2.5), (x, 3, 2.5)]
+        quad(scene, board, material(f"Board {x}", Base_Color=(*colour, 1), Specular_IOR_Level=0.0), seen=False)
+    lamp(scene, "AREA", (0.9, 0.6, 2.3), energy=40.0, size=1.2)
+    lamp(scene, "AREA", (-1.5, 0, 0.5), (math.pi, 0, 0), energy=60.0, size=0.5, seen=False)
+    scene.collection.objects[-1].visible_glossy = False
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.8, location=(0, 0, 0.9), segments=64, ring_count=32)
+    ball = bpy.context.object
+    ball.data.polygons.foreach_set("use_smooth", [True] * len(ball.data.polygons))
+    ball.data.materials.append(material("Glass", Transmission_Weight=1.0, Roughness=0.0, IOR=1.5))
+    ball.visible_camera = False
+    look(scene, (0, 0, 8), (0, 0, 0), type="ORTHO", ortho_scale=1.8)
+    return scene
+
+
+def test_glossy_surfaces_show_what_glass_bends():
+    """Straight rays have the lamp on the wrong side of the ball: an error of 10."""
+    scene = polished_floor()
+    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "thing": "floor"}
+    halves = cached_halves(scene, identity, size=(16, 16), spp=1024, bounces=4, seed=1)
+    arrays = extract_scene(scene, size=(16, 16))
+    settings = RenderSettings(pixel_samples=16, reflections=64, denoise=False)
+    ours = np.mean([render(arrays, replace(settings, seed=seed)).layers["GlossyIndirect"] for seed in range(4)], axis=0)
+    a, b, mine = (picture.reshape(4, 4, 4, 4, 3).mean(axis=(1, 3)) for picture in (*(layers["GlossyIndirect"] for layers in halves), ours))
+    assert np.mean(mine) == pytest.approx(float(np.mean(a) + np.mean(b)) / 2, rel=0.04)
+    assert net_relmse(mine, a, b) < 0.03
