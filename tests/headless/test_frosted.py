@@ -1,6 +1,7 @@
 """Frosted glass against Cycles: a pane with a lamp behind it, in a room of two colours."""
 
 import math
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -48,7 +49,8 @@ def pictures(request):
     scene = before_a_lamp(request.param)
     reference, _ = render_layers(scene, ReferenceSettings(spp=512, size=SIZE, bounces=1))
     arrays = extract_scene(scene, size=SIZE)
-    ours = [render(arrays, RenderSettings(method="importance-sampling", bounces=1, seed=seed, denoise=False)).layers for seed in range(2)]
+    settings = RenderSettings(method="importance-sampling", bounces=1, reflections=32, denoise=False)
+    ours = [render(arrays, replace(settings, seed=seed)).layers for seed in range(2)]
     return reference, {name: np.mean([layers[name] for layers in ours], axis=0) for name in (*LIGHT, "Combined")}
 
 
