@@ -16,6 +16,9 @@ from .light_cache import CHUNK, DEPTH, DIFFUSE_LINK, PRIOR, LightCache, Links, P
 
 LITTLE = 0.01  # of the light that links carry: below it the direction of what lobes reflect is not worth a ray
 ENOUGH = 32768  # probes that get a ray: their cells and those around them share what they find
+# Times the mean around it, by the coarsest cells: what a link tells beyond that is a spark, which is spread over all around.
+BRIGHT = np.float32(8.0)
+FEW = 16  # probes, of which no mean is told
 FARTHEST = 4  # bounces after which what the direction changes is told by the bounce before
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -90,6 +93,25 @@ def _spread_over(links: Links, rows: np.ndarray, values: np.ndarray, weight: np.
     return sums
 
 
+def without_sparks(light: np.ndarray, weight: np.ndarray, around: np.ndarray) -> np.ndarray:
+    """Light (P, K) of probes in the coarsest cells `around` (P,), in which none has many times the mean of the others there; their sum stays.
+
+    weight: (P,) that of each probe.
+    """
+    few, number = np.bincount(around)[around] < FEW, np.bincount(around, weight)[around]
+    grey = light.mean(axis=1, dtype=np.float64)
+    whole = np.average(grey, weights=weight)
+    others = (np.bincount(around, weight * grey)[around] - weight * grey) / number
+    usual = np.where(few, whole, others + whole / np.bincount(around)[around])
+    kept = np.minimum(1, BRIGHT * usual / np.maximum(grey, 1e-30))[:, None]
+    if kept.min() == 1:
+        return light
+    excess = weight[:, None] * (1 - kept) * light
+    nearby, afar = np.where(few[:, None], 0, excess), excess[few].sum(axis=0) / weight.sum()
+    shares = [np.bincount(around, nearby[:, c])[around] / number for c in range(light.shape[1])]
+    return (kept * light + np.stack(shares, axis=1) + afar).astype(np.float32)
+
+
 def _reflected(probes: Probes, links: Links, more: np.ndarray, bounces: int, threads: int) -> np.ndarray:
     """By how much cells send more after each bounce (B, C, 3 G), where the second surface sends `more` (C, 3 G)."""
     rows = np.zeros((bounces, *more.shape), np.float32)
@@ -130,8 +152,9 @@ def redirected(
     carried = np.zeros_like(irradiance)
     _linked(probes, first, links, cache.trust, g_max, by_photons, carried)
     albedo, weight = np.tile(probes.albedo[first], groups), links.weight[first, None]
-    # What cells reflect of it, and the irradiance itself.
-    gains = [albedo * irradiance - carried, irradiance - np.divide(carried, albedo, out=np.zeros_like(carried), where=albedo > 0)]
+    # What cells reflect of it, and the irradiance itself, which is added to what paths find: those that meet no spark must not lack its light.
+    told = without_sparks(np.divide(carried, albedo, out=np.zeros_like(carried), where=albedo > 0), weight[:, 0], links.cells[first, -1])
+    gains = [albedo * irradiance - carried, irradiance - told]
     found = _spread_over(links, first, weight * np.hstack(gains), weight, threads)
     more, gain = np.hsplit(found, 2)
     rows = _reflected(probes, links, np.ascontiguousarray(more), len(cache.radiosity), threads)

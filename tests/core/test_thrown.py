@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lumigate.core.methods.light_cache import DEPTH, DIFFUSE_LINK, Probes, build_light_cache
-from lumigate.core.methods.thrown import redirected, throwing
+from lumigate.core.methods.thrown import FEW, redirected, throwing, without_sparks
 
 ALBEDO, SHINE = 0.5, 0.4
 HUGE = np.float32(1e30)
@@ -87,3 +87,39 @@ def test_no_ray_is_spent_where_lobes_throw_next_to_nothing():
     assert not len(throwing(probes, links, cache))
     probes.link[:] = 0  # all rays miss
     assert not len(throwing(probes, *build_light_cache(probes, 4, seed=1)[::-1]))
+
+
+def test_a_spark_among_links_takes_no_light_from_the_paths_around():
+    """One link that tells a thousand times what the others tell: its light is all that was there, and no place lacks much of it."""
+    rng = np.random.default_rng(3)
+    light, around = rng.random((400, 3), np.float32), np.repeat([0, 1, 2], (200, 200 - FEW // 2, FEW // 2))
+    weight = np.where(np.arange(400) % 2, 1.0, 0.2)
+    np.testing.assert_array_equal(without_sparks(light, weight, around), light)
+    for spark in (7, 399):  # 399: in a cell of few
+        told = light.copy()
+        told[spark] = 1000.0
+        spread = without_sparks(told, weight, around)
+        np.testing.assert_allclose(weight @ spread, weight @ told, rtol=1e-5)
+        assert spread.max() < 50
+        assert (spread >= told)[np.arange(400) != spark].all()
+
+
+def test_a_spark_stays_among_the_links_told_by_the_cache(planes):
+    probes, first, upper, cache, links = planes
+    cell = links.link_cell[first[upper]][0]
+    shine = links.shine.copy()
+    shine[cell] *= 100.0
+    gains = [
+        redirected(
+            cache,
+            probes,
+            links._replace(shine=told),
+            first,
+            np.where(upper, SHINE, 0.0).astype(np.float32)[:, None] * np.ones(3, np.float32),
+            HUGE,
+            4,
+        ).gain
+        for told in (links.shine, shine)
+    ]
+    assert gains[0].min() > -0.5
+    assert gains[1].min() > -25 * SHINE
