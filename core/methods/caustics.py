@@ -72,7 +72,6 @@ _SMALLER = 4  # disks that are tried at most, each half as wide as the one befor
 _LAYERS = 4  # that lie so near each other, at most
 MOST_PASSING = np.float32(0.75)  # of the particles that meet the rim of a leaf's picture: the others have so much the more light
 _MOST_KEPT = np.float32(8.0)  # times its flux: in foliage no more of it is kept
-_GOLDEN = np.float32(0.618034)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _2 = np.float32(2.0)
@@ -493,17 +492,26 @@ def _is_ahead(photons, p, x, y, z):
 
 
 @leaf
-def _met(scene, packet, photons, p, r, turn, tested, seed):
+def _is_hole(scene, triangle, u, v, dx, dy, dz, rows, surface):
+    """Whether a photon along d cannot stay at a place of a triangle: glass, or where a leaf's picture shows nothing."""
+    flags = scene.materials.flags[scene.material[triangle]]
+    if not flags & TRANSPARENT:
+        return False
+    evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
+    return flags & REFRACTIVE != 0 or not passing_chance(surface, flags & ANGLED != 0) < _1
+
+
+@leaf
+def _met(scene, packet, rows, surface, photons, p, r, tested, seed):
     """How many of `RAYS_A_DISK` rays through the disk of photon p, of radius r, meet what it lights there; and the rays traced."""
     mx, my, mz = photons.normal[p, 0], photons.normal[p, 1], photons.normal[p, 2]
     tx, ty, tz, bx, by, bz = orthonormal_basis(mx, my, mz)
     thick = _THICK * r
     met = rays = 0
     for k in range(RAYS_A_DISK):
-        # Spread as Epanechnikov's kernel is; down through all that the light reaches.
-        u = (np.float32(k) + uniform(seed, p, k, 1)) / np.float32(RAYS_A_DISK)
-        away = r * np.float32(math.sqrt(_1 - math.sqrt(_1 - u)))
-        angle = np.float32(2 * math.pi) * (turn + _GOLDEN * np.float32(k))
+        # Spread as Epanechnikov's kernel is, each by chance: `_keep` takes their number for a binomial's.  Down through all that the light reaches.
+        away = r * np.float32(math.sqrt(_1 - math.sqrt(_1 - uniform(seed, p, k, 1))))
+        angle = np.float32(2 * math.pi) * uniform(seed, p, k, 0)
         a, b = away * np.float32(math.cos(angle)), away * np.float32(math.sin(angle))
         high = min(thick, np.float32(math.sqrt(r * r - away * away)))
         ox, oy, oz = (
@@ -520,7 +528,10 @@ def _met(scene, packet, photons, p, r, turn, tested, seed):
             x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
             along = gx * mx + gy * my + gz * mz
             # Triangles beside the photon's may turn the other way.  What lies below the first of them is a back, or seen from where the light comes.
-            if abs(along) >= _ALIKE and (tested or layer == 0 or photons.side[p] * along > _0):
+            alike = abs(along) >= _ALIKE and (tested or layer == 0 or photons.side[p] * along > _0)
+            if alike and not _is_hole(
+                scene, triangle, u, v, photons.direction[p, 0], photons.direction[p, 1], photons.direction[p, 2], rows, surface
+            ):
                 if tested:
                     if along < _0:
                         gx, gy, gz = -gx, -gy, -gz
@@ -544,18 +555,22 @@ def _met(scene, packet, photons, p, r, turn, tested, seed):
 def _keep(scene, photons, radius, tested, begin, end, seed):
     """Makes up for what of the disks of the photons begin..end-1 lies beyond edges and in corners, by a few rays through each; the rays traced."""
     packet = new_packet()
+    rows = new_registers(scene.materials)
+    surface = np.zeros(SURFACE, np.float32)
     rays = 0
     for p in range(begin, end):
         r = radius[p]
-        turn = uniform(seed, p, 0, 0)
         met = 0
         for attempt in range(_SMALLER):
-            met, traced = _met(scene, packet, photons, p, r, turn, tested, seed)
+            met, traced = _met(scene, packet, rows, surface, photons, p, r, tested, seed)
             rays += traced
             if 2 * met >= RAYS_A_DISK or attempt + 1 == _SMALLER:
                 break
             r *= _HALF  # most of it would be lost: on something small, or beside an edge
         radius[p] = r
+        # By rays of their own: a disk that was kept because many rays met it by chance has less of it met than these rays tell.
+        met, traced = _met(scene, packet, rows, surface, photons, p, r, tested, hash_combine(seed, np.uint32(1)))
+        rays += traced
         # The mean of this is about one over the part that is met (a binomial's).
         more = min(_MOST_KEPT, np.float32(RAYS_A_DISK + 1) / np.float32(met + 1))
         for c in range(3):

@@ -149,6 +149,36 @@ def test_at_edges_no_light_is_lost(build):
 
 
 @pytest.mark.parametrize("tested", [False, True])
+@pytest.mark.parametrize("between", ["nothing", "holes"])
+def test_on_slats_no_light_is_lost(build, between, tested):
+    """Slats narrower than the photons' disks, as leaves are, with nothing between them, or what a leaf's picture leaves clear."""
+    half, width = SIDE * PITCH / 2, 0.1
+    edges, rng = np.arange(-half, half, 0.25), np.random.default_rng(4)
+    photons = spot(3000, 1.0)
+    photons.position[:, 0] = rng.choice(edges, 3000) + width * rng.random(3000)
+    photons.position[:, 1] = 3 * rng.random(3000) - 1.5
+    photons.entry[:] = (0, 0, 5)
+    slats, holes = (
+        build.quads(*[[(a, -half, 0), (b, -half, 0), (b, half, 0), (a, half, 0)] for a, b in zip(starts, ends)])
+        for starts, ends in ((edges, edges + width), (edges + width, edges + 0.25))
+    )
+    stuff = build.materials((0.5, 0.0), (0.5, 0.0))
+    stuff.tables.constant[1] = 0
+    stuff.tables.constant[1, TRANSPARENCY : TRANSPARENCY + 3] = 1
+    stuff.tables.flags[1] |= sc.TRANSPARENT
+    points = plane()
+    points.position[:, :2] += np.random.default_rng(5).uniform(-PITCH / 2, PITCH / 2, (SIDE * SIDE, 2))
+    on_slats = (points.position[:, 0] + half) % 0.25 < width
+    found = np.zeros((len(points.pixel), 3), np.float32)
+    with ExitStack() as stack:
+        scene = tables_of(build, stack, slats, *([holes] if between == "holes" else []), materials=stuff, of_last=int(between == "holes"))
+        caustics = arranged(photons, NEAREST, tested=tested)
+        keep_light(scene, caustics, 1, 2)
+        add_caustics(scene, caustics, points, 1, 2, found)
+    assert found[on_slats, 0].sum() * PITCH**2 == pytest.approx(1, rel=0.05)
+
+
+@pytest.mark.parametrize("tested", [False, True])
 def test_what_is_turned_the_other_way_beside_it_gets_no_more(build, tested):
     """A floor in strips whose triangles face up and down in turn, as imported models and panes before a wall have them."""
     half, photons = SIDE * PITCH / 2, spot(1500, 0.3)
