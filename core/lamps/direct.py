@@ -512,7 +512,7 @@ def _has_lobe(points, i):
 
 
 @inlined
-def _unevenness(points, i, dx, dy, dz):
+def unevenness(points, i, dx, dy, dz):
     """What point i reflects of diffuse light from direction d over what its albedo says, which is the mean over all directions."""
     factor = _1
     if points.tilt[i] > _0:
@@ -594,7 +594,7 @@ def _put(scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, g, b, w, 
             _gather_density(points.gathered[i], own),
         )
     light, glossy, ray = rays.light[n], rays.glossy[n], rays.ray[n]
-    cosine *= _unevenness(points, i, dx, dy, dz)
+    cosine *= unevenness(points, i, dx, dy, dz)
     light[0], light[1], light[2] = w * cosine * r, w * cosine * g, w * cosine * b
     if _is_sheen(points, i):
         light[0], light[1], light[2] = _by_sheen(points, i, dx, dy, dz, light[0], light[1], light[2])
@@ -835,7 +835,7 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
                     continue
             aimed = aimed_density(emitters, block.number[k], block.unshadowed[k], e, px, py, pz, sx, sy, sz, dx, dy, dz)
             density = _gather_density(points.gathered[i], cosine)
-            w = cosine * _unevenness(points, i, dx, dy, dz) * share_of(density, aimed) / density
+            w = cosine * unevenness(points, i, dx, dy, dz) * share_of(density, aimed) / density
             r, g, b = w * r * er, w * g * eg, w * b * eb
             if _is_sheen(points, i):
                 r, g, b = _by_sheen(points, i, dx, dy, dz, r, g, b)

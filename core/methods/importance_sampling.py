@@ -19,7 +19,7 @@ import numpy as np
 
 from ..jit import inlined, kernel, leaf
 from ..lamps import focus_share, focused
-from ..lamps.direct import set_point_lobe
+from ..lamps.direct import set_point_lobe, unevenness
 from ..lamps.escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray
 from ..particles import BRIGHTEST, SHINE, THROUGH, Vpls, by_lobe, is_ahead, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
@@ -210,7 +210,7 @@ def _gathered(
         dx, dy, dz = direction[lane, 0], direction[lane, 1], direction[lane, 2]
         path = gather_path(k, turn[lane])
         u, v, t = hit[lane, 0], hit[lane, 1], hit[lane, 2]
-        wr = wg = wb = _1 / np.float32(counts[k])
+        wr = wg = wb = unevenness(points, k, dx, dy, dz) / np.float32(counts[k])
         tr = tg = tb = _1
         entered = OUTSIDE
         veiled = scene.materials.flags[scene.material[triangle]] & TRANSPARENT != 0
@@ -359,18 +359,22 @@ def _trace_lights(scene, packet, rows, surface, cutouts, by_view, points, vpls, 
             shown[k, c] += seen[lane, 0] * r
             shown[k, c + 1] += seen[lane, 1] * g
             shown[k, c + 2] += seen[lane, 2] * b
-        if points.sheen[k, 3] != _0:
+        if points.sheen[k, 3] != _0 or points.tilt[k] > _0 or points.rough[k] > _0:
             dx, dy, dz = (
                 vpls.position[j, 0] - points.position[k, 0],
                 vpls.position[j, 1] - points.position[k, 1],
                 vpls.position[j, 2] - points.position[k, 2],
             )
-            inverse = _1 / np.float32(math.sqrt(dx * dx + dy * dy + dz * dz))
-            fr, fg, fb = factors(
-                points.sheen[k], points.ns[k, 0], points.ns[k, 1], points.ns[k, 2], points.wo[k, 0], points.wo[k, 1], points.wo[k, 2],
-                inverse * dx, inverse * dy, inverse * dz,
-            )  # fmt: skip
-            r, g, b = fr * r, fg * g, fb * b
+            inverse = _1 / max(np.float32(math.sqrt(dx * dx + dy * dy + dz * dz)), np.float32(1e-20))
+            dx, dy, dz = inverse * dx, inverse * dy, inverse * dz
+            factor = unevenness(points, k, dx, dy, dz)
+            r, g, b = factor * r, factor * g, factor * b
+            if points.sheen[k, 3] != _0:
+                fr, fg, fb = factors(
+                    points.sheen[k], points.ns[k, 0], points.ns[k, 1], points.ns[k, 2], points.wo[k, 0], points.wo[k, 1], points.wo[k, 2],
+                    dx, dy, dz,
+                )  # fmt: skip
+                r, g, b = fr * r, fg * g, fb * b
         out[k, c] += r
         out[k, c + 1] += g
         out[k, c + 2] += b
