@@ -42,7 +42,7 @@ from ..surfaces.layout import (
     glossy_albedo,
     translucency,
 )
-from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, lobe_cosine, reflection_count, sample_lobe
+from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, is_behind, lobe_cosine, reflection_count, sample_above
 from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import evaluate, from_within, new_registers, specular_view
 from ..surfaces.visibility import OUTSIDE
@@ -213,14 +213,16 @@ def _reflect_chunk(
         beneath = _THIRD * (points.albedo[i, 0] + points.albedo[i, 1] + points.albedo[i, 2])
         for s in range(n):
             index = first * n + s
-            dx, dy, dz, wr, wg, wb, density = sample_lobe(lobe, sobol(index, 0, key), sobol(index, 1, key))
-            if gx * dx + gy * dy + gz * dz <= _0 or not max(wr, wg, wb) > _0:
+            dx, dy, dz, wr, wg, wb, density = sample_above(lobe, gx, gy, gz, sobol(index, 0, key), sobol(index, 1, key))
+            if not max(wr, wg, wb) > _0:
                 continue
+            # There shadow rays find no lamp that the lobe shows: chance alone would meet small ones.
+            aside = is_behind(lobe, dx, dy, dz)
             drawn = np.float32(n) * density
             wr, wg, wb = wr / np.float32(n), wg / np.float32(n), wb / np.float32(n)
             vr, vg, vb = wr, wg, wb  # before what lies on the way
             rays += 1
-            if lit[i] == SHARED:
+            if lit[i] == SHARED and not aside:
                 _lamps_along(
                     scene, packet, rows, surface, points.triangle[i], expected, estimate, drawn, turned, not wide, x, y, z, error, gx, gy, gz,
                     sx, sy, sz, dx, dy, dz, entered, wr, wg, wb, shown, known, i,
@@ -232,7 +234,7 @@ def _reflect_chunk(
             )
             wr, wg, wb = wr * tr, wg * tg, wb * tb
             alone = lit[i] == WHOLE or by_lens
-            if alone and lit[i] and not wide:
+            if alone and lit[i] and not (wide or aside):
                 _lamps_beyond(scene, rows, surface, points.triangle[i], ox, oy, oz, ex, ey, ez, t - before, wr, wg, wb, known, i)
             if triangle < 0:
                 if world and lit[i]:
@@ -264,7 +266,7 @@ def _reflect_chunk(
             cosine = lobe_cosine(nx, ny, nz, hx, hy, hz, -ex, -ey, -ez)
             e = emitter_of(emitters, triangle) if flags & EMISSIVE else -1
             found = e >= 0 and not (lit[i] and is_hidden_alike(emitters, e) and lights(emitters, e, scene.object, points.triangle[i]))
-            if flags & EMISSIVE and not found:
+            if flags & EMISSIVE and not found and not (e >= 0 and aside):
                 share = _1
                 if e >= 0 and not alone:
                     share = share_of(drawn, aimed_density(emitters, expected, estimate, e, x, y, z, sx, sy, sz, dx, dy, dz))
@@ -286,7 +288,7 @@ def _reflect_chunk(
                 chance = (fr + fg + fb) / max(fr + fg + fb + ar + ag + ab + through, np.float32(1e-6))
             across = max(_0, sx * dx + sy * dy + sz * dz)
             glossy = np.float32(further[i]) if len(further) > 0 else drawn_share(lobe, beneath, density, across)
-            shares = wide and not is_mirror(scene.materials, material)
+            shares = wide and not aside and not is_mirror(scene.materials, material)
             # Whether what it throws of the lamps' light comes by photons.
             thrown = wide and cache.shine == _0 and t > near and t * lobe[ALPHA] > cache.size
             if (chance < _SHINY or shares) and t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):

@@ -12,10 +12,10 @@ import math
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import inlined, kernel, leaf
 from ..sampling.maps import orthonormal_basis
 from . import ggx
-from .microfacet import SMALLEST_ALPHA, sample_reflection, smith_lambda
+from .microfacet import SMALLEST_ALPHA, reflect_by_facet, smith_lambda
 
 # Columns: normal, direction to the viewer, its cosine, alpha (below 0: no lobe), reflectance at normal incidence, how
 # much it rises to grazing, index of refraction of the rise (0: Schlick), albedo (mean of the channels), how much it dips before the rim (`ggx.edge`).
@@ -206,11 +206,17 @@ def lobe_value(row, dx, dy, dz):
 
     Zero for a mirror, which no direction but its own meets.
     """
+    cos_d = row[NORMAL] * dx + row[NORMAL + 1] * dy + row[NORMAL + 2] * dz
+    if cos_d <= _0 or row[ALPHA] <= SMALLEST_ALPHA:
+        return _0, _0, _0, _0
+    return _value(row, cos_d, dx, dy, dz)
+
+
+@leaf
+def _value(row, cos_d, dx, dy, dz):
+    """`lobe_value` towards d, whose cosine with the lobe's normal may be below 0: the formula knows its square alone."""
     alpha = row[ALPHA]
     nx, ny, nz = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
-    cos_d = nx * dx + ny * dy + nz * dz
-    if cos_d <= _0 or alpha <= SMALLEST_ALPHA:
-        return _0, _0, _0, _0
     hx, hy, hz = row[VIEWER] + dx, row[VIEWER + 1] + dy, row[VIEWER + 2] + dz
     length2 = max(hx * hx + hy * hy + hz * hz, np.float32(1e-12))
     cos_h = nx * hx + ny * hy + nz * hz
@@ -267,21 +273,52 @@ def flattened_lobe(row, along, across, dx, dy, dz):
     return w * r, w * g, w * b
 
 
-@kernel
-def sample_lobe(row, u1, u2):
-    """A direction drawn from the lobe -> (d, r, g, b, density): (r, g, b) = lobe * cosine / density, 0 below the surface."""
+@leaf
+def _draw(row, u1, u2):
+    """A direction d drawn from the lobe, and its cosine with the lobe's normal: (d, cosine)."""
     nx, ny, nz = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
     tx, ty, tz, bx, by, bz = orthonormal_basis(nx, ny, nz)
     ox, oy, oz = row[VIEWER], row[VIEWER + 1], row[VIEWER + 2]
-    lx, ly, lz, w = sample_reflection(
+    lx, ly, lz = reflect_by_facet(
         ox * tx + oy * ty + oz * tz, ox * bx + oy * by + oz * bz, row[COSINE], max(row[ALPHA], SMALLEST_ALPHA), u1, u2
     )
-    dx, dy, dz = lx * tx + ly * bx + lz * nx, lx * ty + ly * by + lz * ny, lx * tz + ly * bz + lz * nz
-    if not w > _0:
-        return dx, dy, dz, _0, _0, _0, _0
+    return lx * tx + ly * bx + lz * nx, lx * ty + ly * by + lz * ny, lx * tz + ly * bz + lz * nz, lz
+
+
+@leaf
+def _weighed(row, dx, dy, dz, cos_d):
+    """What `sample_lobe` returns of a direction that counts."""
     if row[ALPHA] <= SMALLEST_ALPHA:
         r, g, b = _reflectance(row, row[COSINE])
         return dx, dy, dz, r, g, b, MIRROR
-    r, g, b, density = lobe_value(row, dx, dy, dz)
+    r, g, b, density = _value(row, cos_d, dx, dy, dz)
     inverse = _1 / max(density, np.float32(1e-20))
     return dx, dy, dz, r * inverse, g * inverse, b * inverse, density
+
+
+@kernel
+def sample_lobe(row, u1, u2):
+    """A direction drawn from the lobe -> (d, r, g, b, density): (r, g, b) = lobe * cosine / density, 0 below the surface."""
+    dx, dy, dz, cos_d = _draw(row, u1, u2)
+    if not cos_d > _0:
+        return dx, dy, dz, _0, _0, _0, _0
+    return _weighed(row, dx, dy, dz, cos_d)
+
+
+@kernel
+def sample_above(row, gx, gy, gz, u1, u2):
+    """As `sample_lobe`, but 0 below the surface of geometric normal g alone.
+
+    Bumps mirror what they turn their backs on, too, as far as it lies above the surface: so it is in Cycles, whose lobes are 0 there to shadow rays, not to
+    the rays that it draws from them (kernel/closure/bsdf_microfacet.h).
+    """
+    dx, dy, dz, cos_d = _draw(row, u1, u2)
+    if not gx * dx + gy * dy + gz * dz > _0:
+        return dx, dy, dz, _0, _0, _0, _0
+    return _weighed(row, dx, dy, dz, cos_d)
+
+
+@inlined
+def is_behind(row, dx, dy, dz):
+    """Whether a direction lies behind the lobe's normal, where `lobe_value` is 0."""
+    return not row[NORMAL] * dx + row[NORMAL + 1] * dy + row[NORMAL + 2] * dz > _0

@@ -28,11 +28,8 @@ def smith_lambda(z, alpha):
 
 
 @inlined
-def sample_reflection(ox, oy, oz, alpha, u1, u2):
-    """A direction i reflected by a visible microfacet -> (ix, iy, iz, weight).
-
-    weight = (lobe * cosine / density) of the lobe without Fresnel term: G2 / G1; 0 where i points below.
-    """
+def reflect_by_facet(ox, oy, oz, alpha, u1, u2):
+    """The direction i in which a visible microfacet, drawn at random, reflects; it may point below."""
     # Stretch, sample the cap of the sphere that is seen, unstretch.
     sx, sy, sz = alpha * ox, alpha * oy, oz
     inverse = _1 / np.float32(math.sqrt(sx * sx + sy * sy + sz * sz))
@@ -45,7 +42,16 @@ def sample_reflection(ox, oy, oz, alpha, u1, u2):
     inverse = _1 / np.float32(math.sqrt(hx * hx + hy * hy + hz * hz))
     hx, hy, hz = hx * inverse, hy * inverse, hz * inverse
     twice = np.float32(2.0) * (ox * hx + oy * hy + oz * hz)
-    ix, iy, iz = twice * hx - ox, twice * hy - oy, twice * hz - oz
+    return twice * hx - ox, twice * hy - oy, twice * hz - oz
+
+
+@inlined
+def sample_reflection(ox, oy, oz, alpha, u1, u2):
+    """A direction i reflected by a visible microfacet -> (ix, iy, iz, weight).
+
+    weight = (lobe * cosine / density) of the lobe without Fresnel term: G2 / G1; 0 where i points below.
+    """
+    ix, iy, iz = reflect_by_facet(ox, oy, oz, alpha, u1, u2)
     if iz <= _0:
         return ix, iy, iz, _0
     lo, li = smith_lambda(oz, alpha), smith_lambda(iz, alpha)
