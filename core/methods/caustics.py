@@ -59,6 +59,9 @@ WORTHWHILE = 0.02  # share of the view's light that lobes throw, weighed by how 
 # Share of the view's light from which on all photons are traced, however wide the lobes (close by, the clamp leaves virtual lights' part to rays that know
 # no direction), and the least part of them.
 MUCH, LEAST_PART = 0.2, 0.125
+# Of the disks of photons by lobes as wide as virtual lights can tell, the least part that must meet something which they light, as so many of them tell: on leaves
+# and other small things photons are noisier than virtual lights.
+LEAST_MET, LOOKED_AT = 0.25, 1024
 MANY = 4  # times as many photons as neighbours, at least: fewer tell nothing
 LOOKS = 32  # of the photons by lobes around it that each point looks at: its own noise is the denoiser's
 FEW_LOOKS = 0.5  # root of the least part of these, where they bring little
@@ -326,14 +329,15 @@ def _traced(
 
 def trace_photons(
     scene: Transport, position: np.ndarray, wanted: float, most: int, bounces: int, seed: int, threads: int = 0,
-    progress: Progress | None = None, *, lobes: bool = False, worth: float = 0.0, wide: float = 0.0,
+    progress: Progress | None = None, *, lobes: bool = False, worth: float = 0.0, wide: float = 0.0, nearest: int = 0,
 ) -> tuple[Photons, int]:  # fmt: skip
     """About so many photons `wanted` around points (N, 3), of `most` particles, none where nothing throws light on anything; and the rays traced.
 
     Their density, flux a unit of area, is the irradiance (W/m^2) that shadow rays miss; or, with `lobes`, what glossy surfaces reflect
     of the lamps' light at first hand.  bounces: as of the picture.  worth: what the mean `Photons.narrow` of those around the points, weighed by
     their light, must be at least; else there are none.  wide: part of the points that have wide lobes: to these what metal throws is worth as much as by narrow ones, for
-    it is bright, and by rays from the lobes alone all noise.
+    it is bright, and by rays from the lobes alone all noise.  nearest: above 0, there may be photons of wider lobes, too, where the disks of most, among so many
+    neighbours, meet what they light.
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -355,12 +359,19 @@ def trace_photons(
         rays += more
     telling = useful(photons)
     light = photons.flux[telling].sum(axis=1, dtype=np.float64)
-    if light @ np.maximum(photons.narrow[telling], np.float32(wide) * photons.metal[telling]) < worth * light.sum():
+    blurred = light @ np.maximum(photons.narrow[telling], np.float32(wide) * photons.metal[telling]) < worth * light.sum()
+    if blurred and not nearest:
         return photons.take(slice(0, 0)), rays
     if np.count_nonzero(telling) >= TELLING:
         scene = scene._replace(emitters=focused(scene.emitters, photons.entry[telling]))
         photons, more = _traced(scene, PILOT, seed + 1, *how)
         rays += more
+        if blurred:
+            around = photons.take(useful(photons))
+            met, more = _part_met(scene, around, nearest * len(around.group) / wanted, seed, threads)
+            rays += more
+            if met < LEAST_MET:
+                return photons.take(slice(0, 0)), rays
     flown = PILOT
     needed = min(int(flown * wanted / max(1, np.count_nonzero(useful(photons)))), most)
     if needed > flown:  # the first of them are the same
@@ -396,11 +407,11 @@ def by_lobes(
     part = min(1.0, max(share / MUCH, LEAST_PART))  # of less light, more noise is as good
     more = min(vpls / VPLS, MOST_BESIDE)
     wanted = part * more * BY_LOBES
-    worth = WORTHWHILE / share if share < MUCH else 0.0
-    photons, rays = trace_photons(
-        scene, position, wanted, int(part * more * MOST_BY_LOBES), bounces, seed, threads, progress, lobes=True, worth=worth, wide=wide
-    )
     nearest = int(np.clip(PART_NEAREST * wanted, FEWEST_NEAREST, MOST_NEAREST))
+    photons, rays = trace_photons(
+        scene, position, wanted, int(part * more * MOST_BY_LOBES), bounces, seed, threads, progress,
+        lobes=True, worth=WORTHWHILE / share, wide=wide, nearest=nearest if share >= MUCH else 0,
+    )  # fmt: skip
     if len(photons.group) < MANY * nearest:
         return None, rays
     caustics = arranged(photons, nearest, threads, tested=True, every=max(1, int(nearest / (LOOKS * max(part, FEW_LOOKS) ** 2))))
@@ -549,6 +560,33 @@ def _met(scene, packet, rows, surface, photons, p, r, tested, seed):
             if not far > _0:
                 break
     return met, rays
+
+
+@kernel
+def _count_met(scene, photons, radius, begin, end, seed, met):
+    """How many of `RAYS_A_DISK` rays through the disks of the photons begin..end-1 meet what they light, into `met` (P,); the rays traced."""
+    packet = new_packet()
+    rows = new_registers(scene.materials)
+    surface = np.zeros(SURFACE, np.float32)
+    rays = 0
+    for p in range(begin, end):
+        met[p], traced = _met(scene, packet, rows, surface, photons, p, radius[p], True, seed)
+        rays += traced
+    return rays
+
+
+def _part_met(scene: Transport, photons: Photons, nearest: float, seed: int, threads: int) -> tuple[float, int]:
+    """The part of what photons by lobes light among so many neighbours that is there and sees where they come from; the rays traced."""
+    k = min(max(1, round(nearest)), len(photons.group) - 1)
+    if k < 1:
+        return 0.0, 0
+    some = photons.take(slice(None, None, -(-len(photons.group) // LOOKED_AT)))
+    radius = cKDTree(photons.position).query(some.position, [k + 1], workers=threads or -1)[0][:, 0]
+    radius, met = np.maximum(radius, 1e-9).astype(np.float32), np.empty(len(radius), np.int64)
+    rays = sum(
+        run_chunks(lambda begin, end: _count_met(scene, some, radius, begin, end, np.uint32(seed), met), len(met), CHUNK // 16, threads)
+    )
+    return float(met.mean()) / RAYS_A_DISK, rays
 
 
 @kernel

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from lumigate.core import scene as sc
 from lumigate.core.lamps import build_emitters
-from lumigate.core.methods.caustics import NEAREST, SPARSE, Photons, add_caustics, arranged, keep_light, trace_photons
+from lumigate.core.methods.caustics import NEAREST, SPARSE, Photons, add_caustics, arranged, by_lobes, keep_light, trace_photons
 from lumigate.core.particles import SHINE, trace_by_power
 from lumigate.core.rays import RayScene
 from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, TRANSPARENCY
@@ -266,3 +266,21 @@ def test_the_rim_of_a_leaf_keeps_no_sparks(build, opacity):
     above, all_of_it = (p.flux[p.position[:, 2] > 1.99, 1].sum() for p in (photons, without))
     assert (1 - opacity) * all_of_it < above * 1.03
     assert above < all_of_it * 1.03
+
+
+@pytest.mark.parametrize(("leaves", "roughness", "photons"), [(True, 0.4, False), (True, 0.05, True), (False, 0.4, True)])
+def test_wide_lobes_have_photons_where_these_light_more_than_crumbs(build, leaves, roughness, photons):
+    """A heap of leaves much smaller than photons lie apart, or the same light in a room; what narrow lobes throw there is no other way in any case."""
+    rng, size = np.random.default_rng(7), 0.05
+    corners = rng.uniform((-1, -1, 0.2), (1, 1, 1.8), (2000, 3))
+    edges = rng.normal(size=(2000, 2, 3))
+    edges *= size / np.linalg.norm(edges, axis=2, keepdims=True)
+    cards = build.quads(*[[c, c + a, c + a + b, c + b] for c, (a, b) in zip(corners, edges)]) if leaves else square(build, 2)
+    lamp = build.lamps(build.lamp(sc.POINT, 5.0, position=(0, 0, 1.9), radius=0.1))
+    wall = build.quads([(-2, -2, 2), (-2, 2, 2), (2, 2, 2), (2, -2, 2)])
+    with ExitStack() as stack:
+        stuff = build.glossy_materials((0.5, 0.5), albedo=0.3, roughness=roughness)
+        scene = tables_of(build, stack, cards, *([] if leaves else [wall]), lamps=lamp, materials=stuff)
+        points = np.float32([(-1, -1, 0.2), (1, 1, 1.8)] if leaves else [(-2, -2, 0), (2, 2, 2)])
+        found, _ = by_lobes(scene, points, 0.3, 0.0, 4096, 4, seed=1, threads=2)
+    assert (found is not None) == photons
