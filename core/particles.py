@@ -33,9 +33,9 @@ import numpy as np
 from .jit import inlined, kernel, leaf
 from .lamps.emission import FOR_EVER, emit
 from .lamps.links import lights, parts_rays
-from .lamps.lookup import BOTH, ray_kind, sought
+from .lamps.lookup import BOTH, EACH, ray_kind, sought
 from .lamps.shapes import AWAY_FROM_CENTRE, falloff
-from .lamps.tables import CASTS_SHADOW, FADING, GLOSSY_ONLY, NOMINAL, RADIUS, SEEN_BY_GLOSSY, SOFT
+from .lamps.tables import CASTS_SHADOW, FADING, GLOSSY_ONLY, NOMINAL, RADIUS, SEEN_BY_GLOSSY, SOFT, WORLD
 from .rays.offsets import hit_point, offset_origin
 from .rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, new_packet, set_ray
 from .rays.trace import ALL, intersect_packet
@@ -306,7 +306,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
             if flying[lane]:
                 hiding[lane] = scene.emitters.shadow_kinds[emitter[lane]]
                 kind[lane] = ray_kind(scene.emitters, emitter[lane], -dx, -dy, -dz)
-                if kind[lane] == BOTH:
+                if kind[lane] == BOTH or kind[lane] == EACH:
                     both[lane] = True
                     kind[lane] = SHADOW if uniform(seed, i, 0, 8) < np.float32(0.5) else DIFFUSE
                     if scene.emitters.parted:
@@ -448,7 +448,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     if bounce == 0 and both[lane] and told[lane] != _ALIKE:
                         # Cycles gives each of both kinds its share, but takes the light beyond glass whole.
                         share = _1
-                        if kind[lane] == SHADOW or told[lane] == _APART:
+                        if (kind[lane] == SHADOW or told[lane] == _APART) and scene.emitters.kind[emitter[lane]] == WORLD:
                             share = sought(scene.emitters.world, -dx, -dy, -dz, max(_0, -cos_s))
                         if kind[lane] != SHADOW:
                             share = _1 if told[lane] == _BY_GLASS else _1 - share

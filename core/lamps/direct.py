@@ -40,7 +40,7 @@ from ..threads import Progress, run_chunks
 from .departures import REFLECTS, VARIED, differs, is_patterned, place_for_world, place_of, position_at, surface_at
 from .escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray, no_gather_rays
 from .links import is_hidden_alike, lights
-from .lookup import BOTH, can_be_met, emitter_density, emitter_of, ray_kind, share_of, sought
+from .lookup import BOTH, EACH, can_be_met, emitter_density, emitter_of, ray_kind, share_of, sought
 from .sample import sample_emitter
 from .seen import learn
 from .sharp import sharp_emitters
@@ -248,7 +248,7 @@ def _shadow_ray_from(scene, triangle, e, u, v, px, py, pz, gx, gy, gz, error, dx
 @inlined
 def _is_apart(emitters, kind):
     """Whether a ray of this `ray_kind` stands for a shadow ray and a diffuse one that may meet different objects."""
-    return emitters.parted and kind == BOTH
+    return emitters.parted and (kind == BOTH or kind == EACH)
 
 
 @leaf
@@ -266,7 +266,7 @@ def _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, k
     Where `_is_apart`, opaque things count, too: no ray need have been traced before.
     Of BOTH kinds, Cycles gives each sampler its share, but what scattered rays find beyond glass it takes whole.
     """
-    if kind != BOTH:
+    if kind != BOTH and kind != EACH:
         return transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, kind, entered)
     if scene.emitters.parted:
         r, g, b, clear = _unhidden(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, DIFFUSE, entered)
@@ -281,7 +281,7 @@ def _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, k
         clear = _1
     if shadowed < _0:
         sr = sg = sb = _0
-    share = sought(scene.emitters.world, dx, dy, dz, cosine)
+    share = _1 if kind == EACH else sought(scene.emitters.world, dx, dy, dz, cosine)
     own, rest, glass = share * shadowed, (_1 - share) * clear, _1 - clear
     direct = own * (sr + sg + sb) + rest * (r + g + b)
     whole = direct + glass * (r + g + b)
@@ -292,18 +292,21 @@ def _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, k
 @leaf
 def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered, cosine):
     """`passed_straight`, with what a lens throws elsewhere as if it went straight on."""
-    r, g, b, clear = passed_straight(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered, cosine)
+    r, g, b, clear = passed_straight(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered, cosine, True)
     return r, g, b, max(_0, clear)
 
 
 @leaf
-def passed_straight(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered, cosine):
+def passed_straight(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered, cosine, aimed):
     """Share of light (r, g, b) of emitter e that a shadow ray lets through up to t = end, and the share of that which passed no glass, -1 where a lens is in the way.
 
-    entered: solids of glass that the path has entered before.  cosine: at which the ray leaves its surface.
+    entered: solids of glass that the path has entered before.  cosine: at which the ray leaves its surface.  aimed: whether it is a shadow ray, or has
+    met the emitter by chance.
     """
     kinds = scene.emitters.shadow_kinds[e]
     kind = ray_kind(scene.emitters, e, dx, dy, dz)
+    if kind == EACH and not aimed:
+        kind = DIFFUSE
     if not _is_apart(scene.emitters, kind):
         if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, kinds):
             return _0, _0, _0, _1

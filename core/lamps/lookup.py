@@ -40,7 +40,7 @@ _HALF = np.float32(0.5)
 _1_2PI = np.float32(0.5 / math.pi)
 _1_PI = np.float32(1 / math.pi)
 _INFINITY = np.float32(np.inf)
-BOTH = 0  # no kind of ray
+BOTH, EACH = 0, -1  # no kinds of rays
 MEAN_COSINE = np.float32(2 / 3)  # of scattered light
 _NEARLY_ALL = np.float32(0.99)  # of a part of the sky: the rest are Cycles' sparks
 
@@ -61,19 +61,6 @@ def sought(world, dx, dy, dz, cosine):
 
 
 @inlined
-def ray_kind(emitters, e, dx, dy, dz):
-    """What a ray of light from emitter e, which lies in the direction d, is to materials and objects that tell rays apart: SHADOW, DIFFUSE, or BOTH in parts.
-
-    Cycles finds lamps and suns in the sky by shadow rays, an even sky by rays that diffuse surfaces scatter, and what lies between by both.
-    """
-    if emitters.kind[e] != WORLD:
-        return SHADOW
-    if not (emitters.told and emitters.world.varies):
-        return DIFFUSE
-    return SHADOW if sought(emitters.world, dx, dy, dz, MEAN_COSINE) > _NEARLY_ALL else BOTH
-
-
-@inlined
 def can_be_met(emitters, e):
     """Whether emitter e has a size, so that a ray can meet it; surfaces that others hide from shadow rays count as having none."""
     if emitters.kind[e] == TRIANGLE:
@@ -81,6 +68,22 @@ def can_be_met(emitters, e):
     if emitters.kind[e] >= WORLD or emitters.kind[e] == AREA:
         return True
     return emitters.lamps[e, ONE_MINUS_COS if emitters.kind[e] == SUN else RADIUS] > _0
+
+
+@inlined
+def ray_kind(emitters, e, dx, dy, dz):
+    """What a ray of light from emitter e, which lies in the direction d, is to materials and objects that tell rays apart: SHADOW, DIFFUSE, BOTH in parts,
+    or EACH whole.
+
+    Cycles finds lamps and suns in the sky by shadow rays, an even sky by rays that diffuse surfaces scatter, and what lies between by both.  Beyond glass it
+    takes whole what scattered rays find: there lamps of a size come twice, where the glass is none to shadow rays.  Suns do by rare sparks only.
+    """
+    if emitters.kind[e] != WORLD:
+        twice = emitters.told and emitters.kind[e] != SUN and is_hidden_alike(emitters, e) and can_be_met(emitters, e)
+        return EACH if twice else SHADOW
+    if not (emitters.told and emitters.world.varies):
+        return DIFFUSE
+    return SHADOW if sought(emitters.world, dx, dy, dz, MEAN_COSINE) > _NEARLY_ALL else BOTH
 
 
 @inlined

@@ -20,7 +20,7 @@ from ..jit import inlined, kernel, leaf
 from ..lamps.direct import set_point_lobe
 from ..lamps.emission import FOR_EVER, emit, focused
 from ..lamps.links import lights
-from ..lamps.lookup import ray_kind
+from ..lamps.lookup import EACH, ray_kind
 from ..lamps.shapes import AWAY_FROM_CENTRE
 from ..lamps.tables import CASTS_SHADOW, FADING, ONE_MINUS_COS, RADIUS, SEEN_BY_GLOSSY
 from ..particles import BLUR, MAX_ADJOINT, NESTED, faded, reflected
@@ -190,7 +190,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
                     continue
             elif passes:
-                sent = lobes and not thrown and ray_kind(emitters, e, -dx, -dy, -dz) == SHADOW
+                seen_as = ray_kind(emitters, e, -dx, -dy, -dz)
+                sent = lobes and not thrown and (seen_as == SHADOW or seen_as == EACH)
                 first = SHADOW if sent else DIFFUSE
                 # What comes through is seen from the other end; a view from within a solid may be reflected totally.
                 reverse = flags & (ANGLED | REFRACTIVE) == ANGLED or (flags & REFRACTIVE != 0 and behind and fronts == 0)

@@ -250,7 +250,8 @@ def lens(outer, inner=None, lamp_height=4):
         if radius:
             bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, radius=radius, location=(0, 0, 1))
             ball = bpy.context.object
-            ball.visible_camera = ball.visible_diffuse = False  # shadow rays alone meet it
+            ball.visible_camera = False
+            ball.visible_diffuse = inner is not None  # a lens throws nothing where shadow rays alone meet it
             ball.data.shade_smooth()
             if radius == inner:
                 ball.data.flip_normals()
