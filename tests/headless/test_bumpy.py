@@ -16,11 +16,11 @@ from .test_direct_light import look, material, quad
 SIZE = (16, 9)
 
 
-def leaning(y, z):
+def leaning(y, z, **inputs):
     """A floor that looks as if its normal were (0, y, z), seen by a camera from (0, -.8, .6)."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    varnish = material("Varnish", Base_Color=(0.7, 0.7, 0.7, 1), Roughness=0.3)
+    varnish = material("Varnish", **{"Base_Color": (0.7, 0.7, 0.7, 1), "Roughness": 0.3} | inputs)
     lean = varnish.node_tree.nodes.new("ShaderNodeNormalMap")
     lean.space = "WORLD"
     lean.inputs["Color"].default_value = (0.5, 0.5 + 0.5 * y, 0.5 + 0.5 * z, 1)
@@ -40,3 +40,14 @@ def test_varnish_takes_its_share_by_the_bent_normal(normal):
     found = render(extract_scene(scene, size=SIZE), RenderSettings(method="importance-sampling", bounces=0)).layers
     assert np.mean(found["Direct"]) == pytest.approx(np.mean(reference["Direct"]), rel=0.02)
     assert np.mean(found["Albedo"]) == pytest.approx(np.mean(reference["Albedo"]), rel=0.02)
+
+
+@pytest.mark.parametrize("roughness", [0.6, 1.0])
+def test_metal_mirrors_what_lies_behind_its_bumps(roughness):
+    """Of what a normal that leans to the camera has behind it, Cycles' lobes show what lies above the floor: 5 % of this sky."""
+    scene = leaning(-0.35, 0.937, Metallic=1.0, Roughness=roughness)
+    scene.camera.location, scene.camera.rotation_euler = (0, -4, 1.2), (math.atan2(4, 1.2), 0, 0)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=SIZE, bounces=0))
+    arrays = extract_scene(scene, size=SIZE)
+    found = [render(arrays, RenderSettings(method="importance-sampling", bounces=0, seed=seed)).layers["Direct"] for seed in range(4)]
+    assert np.mean(found) == pytest.approx(np.mean(reference["Direct"]), rel=0.02)
