@@ -213,7 +213,7 @@ def _reflect_chunk(
         beneath = _THIRD * (points.albedo[i, 0] + points.albedo[i, 1] + points.albedo[i, 2])
         for s in range(n):
             index = first * n + s
-            dx, dy, dz, wr, wg, wb, density = sample_above(lobe, gx, gy, gz, sobol(index, 0, key), sobol(index, 1, key))
+            dx, dy, dz, wr, wg, wb, density = sample_above(lobe, gx, gy, gz, points.tilt[i], sobol(index, 0, key), sobol(index, 1, key))
             if not max(wr, wg, wb) > _0:
                 continue
             # There shadow rays find no lamp that the lobe shows: chance alone would meet small ones.

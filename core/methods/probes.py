@@ -63,7 +63,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, points
     # A floor seen at a grazing angle mirrors what lies far off, where few diffuse rays go.
     if glossy > _0 and uniform(seed, path, 0, 5) * (glossy + dull) < BY_LOBE * glossy:
         kinds = GLOSSY
-        dx, dy, dz, _, _, _, density = sample_above(lobe, gx, gy, gz, u1, u2)
+        dx, dy, dz, _, _, _, density = sample_above(lobe, gx, gy, gz, points.tilt[i], u1, u2)
         if not density > _0:
             return 0
     else:

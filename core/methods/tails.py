@@ -179,7 +179,7 @@ def scatter_light(
     kinds = GLOSSY
     pick = uniform(seed, path, at, 4)
     if pick < chance:
-        dx, dy, dz, r, g, b, _ = sample_above(lobe, gx, gy, gz, u1, u2)
+        dx, dy, dz, r, g, b, _ = sample_above(lobe, gx, gy, gz, tilt, u1, u2)
     elif through > _0 and pick * whole < glossy + through:
         gx, gy, gz = -gx, -gy, -gz
         lx, ly, lz = cosine_hemisphere(u1, u2)
