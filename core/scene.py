@@ -28,9 +28,10 @@ REMAINDER = "Remainder"
 
 # Flags of a material (`Materials.flags`).  ANGLED: its nodes ask for the side or the angle that it is seen from.  MIRRORING is
 # set for views alone (core/view/mirrors.py), BRUSHED and METAL for the rest of the transport (core/surfaces/brushed.py), and so is
-# COVERED (core/coincident.py): a material of one triangle, which is black in parts.  TELLING: it shows shadow rays something else than diffuse ones.
+# COVERED (core/coincident.py): a material of one triangle, which is black in parts.  TELLING: it shows shadow rays something else than diffuse ones.  PAST_NORMAL: its
+# bumps mirror what they turn their backs on.
 EMISSIVE, TRANSPARENT, GLOSSY_LOBE, CONSTANT, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, ANGLED, MIRRORING = 1, 2, 4, 8, 16, 32, 64, 128, 256
-FROSTED, COATED, BRUSHED, METAL, COVERED, TELLING = 512, 1024, 2048, 4096, 8192, 16384
+FROSTED, COATED, BRUSHED, METAL, COVERED, TELLING, PAST_NORMAL = 512, 1024, 2048, 4096, 8192, 16384, 32768
 
 
 @dataclass

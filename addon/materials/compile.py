@@ -24,6 +24,10 @@ _DEFAULT_GREY = Constant(0.8, 0.8, 0.8)
 _GLOSSY = {ops.GLOSSY_CLOSURE, ops.METAL_CLOSURE, ops.GLASS_CLOSURE, ops.DIELECTRIC_CLOSURE, ops.COAT_CLOSURE}
 _REFRACTIVE = {ops.REFRACTION_CLOSURE, ops.GLASS_CLOSURE}
 _TRANSPARENT = {ops.TRANSPARENT_CLOSURE, *_REFRACTIVE}
+_PAST_NORMALS = bpy.app.version < (
+    5,
+    0,
+)  # lobes there are 0 behind the normal to shadow rays, but not to the rays that Cycles draws from them
 _ANGLED = {ops.FRESNEL, ops.FACING, ops.BACKFACING}
 
 
@@ -133,7 +137,8 @@ def _link(programs: list[Program], names: list[str], textures: TexturePool, warn
                 | scene.ANGLED * bool(operations & _ANGLED)
                 | (scene.TELLING | scene.ANGLED) * _tells_shadow_rays(program)
             )
-        flags[m] |= scene.NORMAL_MAPPED * (ops.NORMAL_MAP in operations)
+        bumpy = ops.NORMAL_MAP in operations
+        flags[m] |= (scene.NORMAL_MAPPED | scene.PAST_NORMAL * _PAST_NORMALS) * bumpy
     header, texels_u8, texels_f32 = textures.tables()
     instructions = np.concatenate(code)
     functions = outlined.addresses({int(op) for op in instructions[:, 0]})

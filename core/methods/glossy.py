@@ -42,7 +42,7 @@ from ..surfaces.layout import (
     glossy_albedo,
     translucency,
 )
-from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, is_behind, lobe_cosine, reflection_count, sample_above
+from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, goes_past, is_behind, lobe_cosine, reflection_count, sample_above
 from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import evaluate, from_within, new_registers, specular_view
 from ..surfaces.visibility import OUTSIDE
@@ -211,9 +211,10 @@ def _reflect_chunk(
         wide = (shared.gather[i] > 0 or shared.lights) and is_wide(lobe)
         turned = is_turned(points, i)
         beneath = _THIRD * (points.albedo[i, 0] + points.albedo[i, 1] + points.albedo[i, 2])
+        past = goes_past(scene, points.triangle[i], points.tilt[i])
         for s in range(n):
             index = first * n + s
-            dx, dy, dz, wr, wg, wb, density = sample_above(lobe, gx, gy, gz, points.tilt[i], sobol(index, 0, key), sobol(index, 1, key))
+            dx, dy, dz, wr, wg, wb, density = sample_above(lobe, gx, gy, gz, past, sobol(index, 0, key), sobol(index, 1, key))
             if not max(wr, wg, wb) > _0:
                 continue
             # There shadow rays find no lamp that the lobe shows: chance alone would meet small ones.

@@ -17,7 +17,7 @@ from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE, GLOSSY, REFRACTIVE
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.layout import SURFACE, TILT, diffuse_albedo
-from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, lobe_cosine, sample_above
+from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, goes_past, lobe_cosine, sample_above
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
@@ -63,7 +63,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, points
     # A floor seen at a grazing angle mirrors what lies far off, where few diffuse rays go.
     if glossy > _0 and uniform(seed, path, 0, 5) * (glossy + dull) < BY_LOBE * glossy:
         kinds = GLOSSY
-        dx, dy, dz, _, _, _, density = sample_above(lobe, gx, gy, gz, points.tilt[i], u1, u2)
+        dx, dy, dz, _, _, _, density = sample_above(lobe, gx, gy, gz, goes_past(scene, points.triangle[i], points.tilt[i]), u1, u2)
         if not density > _0:
             return 0
     else:

@@ -41,7 +41,7 @@ from ..surfaces.layout import (
     glossy_rise,
     translucency,
 )
-from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, lobe_cosine, lobe_value, sample_above, set_lobe
+from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, goes_past, lobe_cosine, lobe_value, sample_above, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.sheen import lit_from
@@ -179,7 +179,7 @@ def scatter_light(
     kinds = GLOSSY
     pick = uniform(seed, path, at, 4)
     if pick < chance:
-        dx, dy, dz, r, g, b, _ = sample_above(lobe, gx, gy, gz, tilt, u1, u2)
+        dx, dy, dz, r, g, b, _ = sample_above(lobe, gx, gy, gz, goes_past(scene, on, tilt), u1, u2)
     elif through > _0 and pick * whole < glossy + through:
         gx, gy, gz = -gx, -gy, -gz
         lx, ly, lz = cosine_hemisphere(u1, u2)

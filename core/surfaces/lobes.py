@@ -14,6 +14,7 @@ import numpy as np
 
 from ..jit import inlined, kernel, leaf
 from ..sampling.maps import orthonormal_basis
+from ..scene import PAST_NORMAL
 from . import ggx
 from .microfacet import SMALLEST_ALPHA, reflect_by_facet, smith_lambda
 
@@ -306,17 +307,23 @@ def sample_lobe(row, u1, u2):
 
 
 @kernel
-def sample_above(row, gx, gy, gz, tilt, u1, u2):
-    """As `sample_lobe`, but of bumps (tilt, `layout.TILT`, above 0) 0 below the surface of geometric normal g alone.
+def sample_above(row, gx, gy, gz, past, u1, u2):
+    """As `sample_lobe`, but where it goes `past` the normal, 0 below the surface of geometric normal g alone.
 
-    Bumps mirror what they turn their backs on, too, as far as it lies above the surface: so it is in Cycles, whose lobes are 0 there to shadow rays, not to
-    the rays that it draws from them (kernel/closure/bsdf_microfacet.h).  Normals that are smoothed over facets alone Cycles does not bend as lobes here are, and
-    with what lies behind these a room of gilt frames had 12 % more `GlossyIndirect`.
+    Bumps mirror what they turn their backs on, too, as far as it lies above the surface: so it is in Cycles before Blender 5, whose lobes are 0 there to shadow
+    rays, not to the rays that it draws from them (kernel/closure/bsdf_microfacet.h).  Normals that are smoothed over facets alone Cycles does not bend as
+    lobes here are, and with what lies behind these a room of gilt frames had 12 % more `GlossyIndirect`.
     """
     dx, dy, dz, cos_d = _draw(row, u1, u2)
-    if not (gx * dx + gy * dy + gz * dz > _0 and (cos_d > _0 or tilt > _0)):
+    if not (gx * dx + gy * dy + gz * dz > _0 and (cos_d > _0 or past)):
         return dx, dy, dz, _0, _0, _0, _0
     return _weighed(row, dx, dy, dz, cos_d)
+
+
+@inlined
+def goes_past(scene, triangle, tilt):
+    """Whether a surface of that triangle and `layout.TILT` mirrors what its bumps turn their backs on."""
+    return tilt > _0 and triangle >= 0 and scene.materials.flags[scene.material[triangle]] & PAST_NORMAL != 0
 
 
 @inlined

@@ -60,7 +60,7 @@ def test_indirect_light_counts_by_where_it_comes_from(floor):
 
 @pytest.mark.parametrize("roughness", [0.5, 1.0])
 def test_bumps_mirror_what_they_turn_their_backs_on(roughness):
-    """The wall lies behind the leaning normal: no diffuse light comes from there, but the lobe's rays go there as Cycles' do."""
+    """The wall lies behind the leaning normal: no diffuse light comes from there, but the lobe's rays go there as Cycles' do before Blender 5."""
     scene = before_a_wall(lambda: bumps(0, -0.15, Roughness=roughness, Specular_IOR_Level=0.5))
     size = (32, 18)
     reference, _ = render_layers(scene, ReferenceSettings(spp=1024, size=size, bounces=1))
