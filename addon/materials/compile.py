@@ -24,10 +24,8 @@ _DEFAULT_GREY = Constant(0.8, 0.8, 0.8)
 _GLOSSY = {ops.GLOSSY_CLOSURE, ops.METAL_CLOSURE, ops.GLASS_CLOSURE, ops.DIELECTRIC_CLOSURE, ops.COAT_CLOSURE}
 _REFRACTIVE = {ops.REFRACTION_CLOSURE, ops.GLASS_CLOSURE}
 _TRANSPARENT = {ops.TRANSPARENT_CLOSURE, *_REFRACTIVE}
-_PAST_NORMALS = bpy.app.version < (
-    5,
-    0,
-)  # lobes there are 0 behind the normal to shadow rays, but not to the rays that Cycles draws from them
+# Lobes there are 0 behind the normal to shadow rays, but not to the rays that Cycles draws from them.
+_PAST_NORMALS = bpy.app.version < (5, 0)
 _ANGLED = {ops.FRESNEL, ops.FACING, ops.BACKFACING}
 
 

@@ -70,8 +70,8 @@ def bent(materials, geometry, material, triangle, u, v, dx, dy, dz, surface):
 def nearest_reflected(scene, packet, rows, surface, bends, ox, oy, oz, dx, dy, dz, seed, path, dimension, entered):
     """`nearest_surface` to a ray from a glossy lobe, which clear glass turns where it `bends`: what a polished table shows of a bottle.
 
-    Returns what that does, t being the length of the whole way, and then whether a lens is on it, beyond which no shadow ray finds anything, origin and
-    direction of its last part, and the length of what comes before.
+    Returns what that does, t being the length of the whole way (m), and then whether a lens is on it, beyond which no shadow ray finds anything, origin and
+    direction of its last part, and the length of what comes before (m).  Bent by Snell's law, as `bent` has it; frosted glass is passed straight.
     """
     r = g = b = clear = _1
     ex, ey, ez = dx, dy, dz
