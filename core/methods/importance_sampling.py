@@ -580,10 +580,11 @@ class ImportanceSampling:
         # Where the view's light comes from last: there the particles are wanted.
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
         self.emitters = focused(scene.emitters, self.lit_from) if focus else scene.emitters
+        by_view, probed_by_view = views(scene.materials, scene.material, scene.attributes, self.threads)
         self.cache, self.links = build_light_cache(
             probes, self.bounces + (has_lobes(points) or is_translucent(scene)), self.seed, self.threads, part(progress, 0.6, 1.0),
             gathered=self.bounces, later=min(1.0, RELIABLE * focus_share(self.emitters)), relied=self.relied,
-            by_view=views(scene.materials, scene.material, scene.attributes, self.threads), mirrors=scene.materials.flags & METAL > 0,
+            by_view=by_view, probed_by_view=probed_by_view, mirrors=scene.materials.flags & METAL > 0,
         )  # fmt: skip
         self.probes = probes
         self.near = np.float32(NEAR * self.cache.size)

@@ -669,6 +669,7 @@ def build_light_cache(
     later: float = 1.0,
     relied: float = 0.0,
     by_view: np.ndarray | None = None,
+    probed_by_view: np.ndarray | None = None,
     mirrors: np.ndarray | None = None,
 ) -> tuple[LightCache, Links]:
     """Cells that hold what the probes know of light that left 1 to `bounces` surfaces, and how they hang together.
@@ -676,7 +677,7 @@ def build_light_cache(
     gathered: how many of them the light has left that gather rays look up, None for `bounces`.
     later: what virtual lights carry of light that has left several surfaces, as a part of what they carry of other light.
     relied: the part of what would be left to the cache that virtual lights carry all the same, as far as their geometry term is not clamped.
-    by_view: (M, `VIEWS`) of the materials, None where all views are alike.  mirrors: (M,) bool, those whose lobes gather rays follow; None for none.
+    by_view: (M, `VIEWS`) of the materials, None where all views are alike.  probed_by_view: the part of it that the probes' light has, None for all.  mirrors: (M,) bool, those whose lobes gather rays follow; None for none.
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -689,7 +690,7 @@ def build_light_cache(
     n = int(probes.valid.sum())
     if by_view is None:
         by_view = np.zeros((1 + (int(probes.side.max(initial=0)) >> 1), VIEWS), np.float32)
-    probes = _of_all_views(probes, by_view)
+    probes = _of_all_views(probes, by_view if probed_by_view is None else probed_by_view)
     origin, extent = _grid(probes)
     size = np.float32(cell_size(probes, origin, extent, seed))
     go_on(0.1)

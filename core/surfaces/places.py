@@ -9,6 +9,7 @@ from ..sampling.hashing import uniform
 from ..scene import MaterialTables
 from .batch import evaluate_batch
 from .layout import SURFACE
+from .program import MEAN_VIEW
 
 PLACES = 16  # of a material
 
@@ -27,11 +28,11 @@ def _some_triangles(material, found, number):
 
 
 def some_surfaces(
-    tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, wanted: np.ndarray, threads: int = 0
+    tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, wanted: np.ndarray, threads: int = 0, cosine: float = MEAN_VIEW
 ) -> tuple[np.ndarray, np.ndarray]:
     """Surfaces (N, SURFACE) float32 at up to `PLACES` triangles of each of the `wanted` (M,) bool materials, and the material of each, (N,).
 
-    material: (T,) int32, of the triangles.  attributes: (K, T, 3, 4) float32.
+    material: (T,) int32, of the triangles.  attributes: (K, T, 3, 4) float32.  cosine: of the view, as for `program.evaluate`.
     """
     found = np.full((len(wanted), PLACES), -1, np.int32)
     _some_triangles(material, found, np.zeros(len(wanted), np.int64))
@@ -40,5 +41,5 @@ def some_surfaces(
     triangle = found[found >= 0]
     u, v = np.random.default_rng(0).random((2, len(triangle)))
     u, v = 1 - np.sqrt(u), v * np.sqrt(u)
-    surfaces = evaluate_batch(tables, material, attributes, triangle, u.astype(np.float32), v.astype(np.float32), threads=threads)
+    surfaces = evaluate_batch(tables, material, attributes, triangle, u.astype(np.float32), v.astype(np.float32), cosine, threads)
     return surfaces.reshape(-1, SURFACE), owner

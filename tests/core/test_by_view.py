@@ -34,7 +34,7 @@ def varnished(build, roughness):
 
 
 def table_of(tables):
-    return views(tables, np.array([0, 1], np.int32), np.zeros((0, 2, 3, 4), np.float32), threads=1)
+    return views(tables, np.array([0, 1], np.int32), np.zeros((0, 2, 3, 4), np.float32), threads=1)[0]
 
 
 @pytest.mark.parametrize("roughness", [0.05, 0.2, 0.5, 1.0])
