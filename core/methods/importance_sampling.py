@@ -350,7 +350,7 @@ def _trace_lights(scene, packet, rows, surface, cutouts, by_view, points, vpls, 
                 r = g = b = _0
         w = value[lane] * np.float32(3.0) / (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2])
         if _is_first_diffuse(vpls, j):
-            w *= _1 + difference(by_view, vpls.side[j] >> 1, _cosine_at(vpls, j, points, k))
+            w *= _1 + difference(by_view, vpls.side[j], _cosine_at(vpls, j, points, k))
         else:
             w *= by_lobe(vpls, j, points.position[k, 0], points.position[k, 1], points.position[k, 2])
         c = 3 * scene.emitters.light_group[vpls.emitter[j]]

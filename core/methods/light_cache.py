@@ -126,7 +126,7 @@ class LightCache(NamedTuple):
     centre: (C, 6) float32, middle and normal of the cells.  side: (C,) int32, their sides.
     root: (C,) int64, the coarsest cell around each.
     first: (C, 3 G) float32 W/m^2, of `sent`, what has come straight from lamps but for what narrow lobes reflect: the mean over all views, from which
-        one view differs by a material's row of by_view (M, `VIEWS`), as of `by_view.views`.
+        one view differs by a side's row of by_view (2 M, `VIEWS`), as of `by_view.views`.
     """
 
     origin: np.ndarray
@@ -245,7 +245,7 @@ def find_cell(cache, x, y, z, nx, ny, nz, side, u1, u2):
 @inlined
 def more_by_view(cache, cell, cosine):
     """How much more of its `first` light a cell shows a view at a cosine than in the mean."""
-    return difference(cache.by_view, cache.side[cell] >> 1, cosine)
+    return difference(cache.by_view, cache.side[cell], cosine)
 
 
 @leaf
@@ -677,7 +677,7 @@ def build_light_cache(
     gathered: how many of them the light has left that gather rays look up, None for `bounces`.
     later: what virtual lights carry of light that has left several surfaces, as a part of what they carry of other light.
     relied: the part of what would be left to the cache that virtual lights carry all the same, as far as their geometry term is not clamped.
-    by_view: (M, `VIEWS`) of the materials, None where all views are alike.  probed_by_view: the part of it that the probes' light has, None for all.  mirrors: (M,) bool, those whose lobes gather rays follow; None for none.
+    by_view: (2 M, `VIEWS`) of the materials' sides, None where all views are alike.  probed_by_view: the part of it that the probes' light has, None for all.  mirrors: (M,) bool, those whose lobes gather rays follow; None for none.
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -689,7 +689,7 @@ def build_light_cache(
 
     n = int(probes.valid.sum())
     if by_view is None:
-        by_view = np.zeros((1 + (int(probes.side.max(initial=0)) >> 1), VIEWS), np.float32)
+        by_view = np.zeros((1 + int(probes.side.max(initial=0)), VIEWS), np.float32)
     probes = _of_all_views(probes, by_view if probed_by_view is None else probed_by_view)
     origin, extent = _grid(probes)
     size = np.float32(cell_size(probes, origin, extent, seed))
@@ -748,7 +748,7 @@ def _of_all_views(probes: Probes, by_view: np.ndarray) -> Probes:
     """The probes with direct light that is the mean over all views, not what their own path sees: but for that which lobes reflect."""
     if not by_view.any():
         return probes
-    seen = np.maximum(LEAST_SEEN, _1 + differences(by_view, probes.side >> 1, probes.cosine))[:, None]
+    seen = np.maximum(LEAST_SEEN, _1 + differences(by_view, probes.side, probes.cosine))[:, None]
     direct = probes.shine + (probes.direct - probes.shine) / seen
     return probes._replace(direct=direct, beneath=probes.beneath / seen, glass=probes.glass / seen)
 

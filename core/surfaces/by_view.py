@@ -1,8 +1,8 @@
 """How bright the diffuse light of a surface is by the angle of its view.
 
 A dielectric lobe takes its share of what a surface reflects by the angle of the view, most at grazing ones (`layout.diffuse_albedo`), and
-so does the roughness of a diffuse reflection, and a coat, by a closure that knows the view.  Virtual lights and cells of light are means over
-all views; here is, for each material, how far one view differs from them.
+so does the roughness of a diffuse reflection, a coat, or a mix by a Fresnel node.  Virtual lights and cells of light are means over all views;
+here is, for each side of each material, how far one view differs from them.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ _1 = np.float32(1)
 
 
 @inlined
-def difference(table, material, cosine):
-    """Light towards a view at `cosine` over its mean over all views, less 1, of a material of a `views` table."""
+def difference(table, side, cosine):
+    """Light towards a view at `cosine` over its mean over all views, less 1, of a side (`normals.surface_side`) by a `views` table."""
     x = np.float32(math.sqrt(min(_1, max(_0, cosine)))) * np.float32(VIEWS - 1)
     i = min(np.int64(x), VIEWS - 2)
-    low = table[material, i]
-    return low + (x - np.float32(i)) * (table[material, i + 1] - low)
+    low = table[side, i]
+    return low + (x - np.float32(i)) * (table[side, i + 1] - low)
 
 
 @kernel
-def _differences(table, materials, cosine, out):
-    for i in range(len(materials)):
-        out[i] = difference(table, materials[i], cosine[i])
+def _differences(table, sides, cosine, out):
+    for i in range(len(sides)):
+        out[i] = difference(table, sides[i], cosine[i])
 
 
-def differences(table: np.ndarray, materials: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """`difference` of many materials (N,) at as many cosines, (N,) float32."""
-    out = np.empty(len(materials), np.float32)
-    _differences(table, np.ascontiguousarray(materials, np.int32), np.ascontiguousarray(cosine, np.float32), out)
+def differences(table: np.ndarray, sides: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """`difference` of many sides (N,) at as many cosines, (N,) float32."""
+    out = np.empty(len(sides), np.float32)
+    _differences(table, np.ascontiguousarray(sides, np.int32), np.ascontiguousarray(cosine, np.float32), out)
     return out
 
 
@@ -73,35 +73,53 @@ def _add_view(surfaces, owner, k, seen):
         seen[owner[i], k] += r + g + b
 
 
+def _over_views() -> np.ndarray:
+    """Weights (VIEWS,) of the mean over the cosine-weighted hemisphere of what is linear between the views."""
+    x = (np.arange(4096) + 0.5) / 4096  # roots of cosines
+    weights = np.array([np.interp(x * (VIEWS - 1), np.arange(VIEWS), one) @ x**3 for one in np.eye(VIEWS)])
+    return (weights / weights.sum()).astype(np.float32)
+
+
+_OVER_VIEWS = _over_views()
+
+
 def views(tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, threads: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """(M, VIEWS) float32 `difference` of M materials, and the part of it that their mean surfaces tell, which paths meet; they differ for coats.
+    """(2 M, VIEWS) float32 `difference` of both sides of M materials, and the part of it that is in the surfaces which paths meet.
+
+    Those are as the paths see them where the nodes ask for the view (ANGLED); of a coat they are the mean over all views.
 
     material: (T,) int32, of the triangles.  attributes: (K, T, 3, 4) float32.
-    Zeros where the nodes ask for the view themselves, and for translucent materials, which have another albedo from behind.
-    With sheen there is only what the mean surface tells: how that shines towards a view depends on where its light comes from as well.
+    Zeros for translucent materials, which have another albedo from behind.  Of sheen there is nothing: how it shines towards a view depends on
+    where its light comes from as well.
     """
     count = len(tables.flags)
     seen, mean = np.zeros((count, VIEWS), np.float32), np.zeros(count, np.float32)
     constant = np.flatnonzero(tables.flags & CONSTANT)
     _add_views(np.ascontiguousarray(tables.constant[constant], np.float32), constant, seen, mean)
-    own, topped = own_materials(tables), np.zeros(count, bool)
+    own, coated, sheened = own_materials(tables), np.zeros(count, bool), np.zeros(count, bool)
     textured = tables.flags & (CONSTANT | COVERED) == 0
     if textured.any():
         if (tables.flags & COVERED).any():  # their triangles tell of their own materials
             material = own[material]
         surfaces, owner = some_surfaces(tables, material, attributes, textured, threads)
         _add_views(surfaces, owner, seen, mean)
-        topped[owner[(surfaces[:, COAT : COAT + 3] > 0).any(axis=1)]] = True
-        topped[owner[surfaces[:, SHEEN_ROUGHNESS] != 0]] = False
-    known = (mean > 1e-6) & (tables.flags & (ANGLED | TRANSLUCENT) == 0)
-    topped &= known
-    whole = np.where(topped[:, None], np.float32(0), seen)
-    for k in range(VIEWS if topped.any() else 0):
-        _add_view(*some_surfaces(tables, material, attributes, topped, threads, reflected_view(_cosine(k))), k, whole)
-
-    def over_mean(light: np.ndarray) -> np.ndarray:
-        out = np.zeros((count, VIEWS), np.float32)
-        out[known] = light[known] / mean[known, None] - 1
-        return out[own]
-
-    return over_mean(whole), over_mean(seen)
+        coated[owner[(surfaces[:, COAT : COAT + 3] > 0).any(axis=1)]] = True
+        sheened[owner[surfaces[:, SHEEN_ROUGHNESS] != 0]] = True
+    plain, angled = tables.flags & (ANGLED | TRANSLUCENT) == 0, tables.flags & (ANGLED | TRANSLUCENT) == ANGLED
+    by_angle = (plain & coated | angled) & ~sheened
+    probed, whole = np.zeros((2, count, 2, VIEWS), np.float32)
+    met = plain & (mean > 1e-6)
+    probed[met] = (seen[met] / mean[met, None] - 1)[:, None]
+    whole[:] = probed
+    for side in range(2 if by_angle.any() else 0):
+        light = np.zeros((count, VIEWS), np.float32)
+        for k in range(VIEWS):
+            cosine = max(_cosine(k), np.float32(1e-4))
+            _add_view(
+                *some_surfaces(tables, material, attributes, by_angle, threads, reflected_view(-cosine if side else cosine)), k, light
+            )
+        average = np.where(angled, light @ _OVER_VIEWS, mean)
+        known = by_angle & (average > 1e-6)
+        whole[known, side] = light[known] / average[known, None] - 1
+    probed[angled] = whole[angled]
+    return whole[own].reshape(2 * count, VIEWS), probed[own].reshape(2 * count, VIEWS)
