@@ -15,6 +15,8 @@ import numpy as np
 # Ray kinds, as bits of `Geometry.object_visibility`, `Lamps.visibility` and `World.visibility`.
 CAMERA, DIFFUSE, GLOSSY, TRANSMISSION, SHADOW = 1, 2, 4, 8, 16
 ALL_RAYS = CAMERA | DIFFUSE | GLOSSY | TRANSMISSION | SHADOW
+# No kind of rays: where the camera sees the object, behind no glass, there is a hole in the picture.
+HOLDOUT = 32
 # The bit of the first of BLOCKER_SETS sets of objects that hide an emitter which others do not hide: a kind of shadow rays of its own.
 FIRST_BLOCKER_SET, BLOCKER_SETS = 256, 22
 
@@ -44,7 +46,7 @@ class Geometry:
     attributes: (K, T, 3, 4) float32, what materials read at the corners (a UV map, a colour
         attribute, generated or object coordinates): slot k means what each material says it means.
     material: (T,) int32 into `Materials`;  object: (T,) int32 into the object lists.
-    object_names: O names;  object_visibility: (O,) uint32 bits of ray kinds, and of the sets of blockers that an object is in.
+    object_names: O names;  object_visibility: (O,) uint32 bits of ray kinds, of the sets of blockers that an object is in, and `HOLDOUT`.
     object_groups: O light group names ('' for none), None where no object has one.
     object_receivers, object_blockers: (O,) int32, of objects that shine: the set of those that they light, and of those that hide them; -1 for
         all, and where None is given.  receiver_sets: (K, O) uint8, 1 for the objects of each set of receivers; None for no set.

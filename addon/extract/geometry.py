@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import SceneError
-from ...core.scene import CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION, Geometry, Skipped
+from ...core.scene import CAMERA, DIFFUSE, GLOSSY, HOLDOUT, SHADOW, TRANSMISSION, Geometry, Skipped
 from ..materials import CompiledMaterials
 from .attributes import NOT_INSTANCED, Batch, Instancing, Part, fill, lightmap_uv, unit
 from .instances import InstanceAttributes, asked_of_instancers
@@ -81,12 +81,14 @@ def ray_visibility(ob: bpy.types.Object) -> int:
 
 
 def instance_visibility(instance: bpy.types.DepsgraphObjectInstance, view_layer: bpy.types.ViewLayer) -> int:
-    """Visibility of an instance as Cycles combines it: its own, its parent's, and indirect-only collections."""
+    """Visibility of an instance as Cycles combines it: its own, its parent's, and indirect-only and holdout collections."""
     visibility = ray_visibility(instance.object)
     parent = instance.parent if instance.is_instance else instance.object
     if instance.is_instance:
         visibility &= ray_visibility(parent)
-    if parent.indirect_only_get(view_layer=view_layer) and not parent.holdout_get(view_layer=view_layer):
+    if parent.holdout_get(view_layer=view_layer):
+        visibility |= HOLDOUT * (visibility > 0)
+    elif parent.indirect_only_get(view_layer=view_layer):
         visibility &= ~CAMERA
     return visibility
 
@@ -184,8 +186,6 @@ def _notes(instance: bpy.types.DepsgraphObjectInstance, view_layer: bpy.types.Vi
         for system in ob.particle_systems:
             if system.settings.type == "HAIR" and system.settings.render_type == "PATH":
                 yield f"hair particles '{system.name}' of '{ob.name}' are left out: convert them to a mesh to see them"
-    if ob.type == "MESH" and ob.holdout_get(view_layer=view_layer):
-        yield f"'{ob.name}' is a holdout: it is rendered as an ordinary object"
     if ob.type == "MESH" and ob.is_shadow_catcher:  # lamps are by default
         yield f"'{ob.name}' is a shadow catcher: it is rendered as an ordinary object"
 

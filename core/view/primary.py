@@ -26,7 +26,7 @@ from ..rays.packet import WIDTH, new_packet
 from ..references import Reference
 from ..sampling.hashing import uniform
 from ..sampling.maps import orthonormal_basis
-from ..scene import CAMERA, COATED, FROSTED, TRANSLUCENT, Scene
+from ..scene import CAMERA, COATED, FROSTED, HOLDOUT, TRANSLUCENT, Scene
 from ..surfaces.covers import CoveredPlaces
 from ..surfaces.frosted import seen_through
 from ..surfaces.layout import COAT_TOP, SURFACE
@@ -94,7 +94,7 @@ class Worlds(NamedTuple):
 
 
 class _Geometry(NamedTuple):
-    """As in `scene.Geometry`, and of each object its light group, and the set of those that it lights, of `receiver_sets`; what is black because it is covered."""
+    """As in `scene.Geometry`, and of each object whether it is a holdout, its light group, and the set of those that it lights, of `receiver_sets`; what is black because it is covered."""
 
     vertices: np.ndarray
     triangles: np.ndarray
@@ -102,6 +102,7 @@ class _Geometry(NamedTuple):
     attributes: np.ndarray
     material: np.ndarray
     object: np.ndarray
+    held_out: np.ndarray
     light_group: np.ndarray
     receivers: np.ndarray
     receiver_sets: np.ndarray
@@ -480,6 +481,7 @@ def view(
         g.attributes,
         g.material,
         g.object,
+        ((g.object_visibility & HOLDOUT) > 0).astype(np.uint8),
         groups.objects,
         object_links(scene)[0],
         receiver_sets(g),

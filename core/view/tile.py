@@ -420,12 +420,18 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
             if tile.looking[lane] and not flags & FROSTED:
                 disable_ray(packet, lane)
                 continue
-            behind, mirroring, frost = False, flags & MIRRORING, _0
+            held = is_held_out(tile, geometry, pixel, s, triangle)
+            behind, mirroring, frost = False, 0 if held else flags & MIRRORING, _0
             if flags & TRANSPARENT:
                 cosine, behind = _view_cosine(
                     vertices, triangle_vertices, corner_normals, flags, triangle, u, v, dx, dy, dz, kinds[pixel, s], entered[pixel, s]
                 )
                 evaluate(materials, material[triangle], attributes, triangle, u, v, cosine, rows, surface)
+                if held:  # whatever is not clear, glass as well
+                    for c in range(3):
+                        surface[TRANSPARENCY + c] -= surface[REFRACTION + c]
+                        surface[REFRACTION + c] = _0
+                    surface[FROST] = _0
                 frost = surface[FROST] if surface[FROST] > SMALLEST_ALPHA else _0
                 if frost > _0 and tile.frosted[lane] >= 0:
                     row = tile.frosted[lane]
@@ -553,6 +559,12 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
 
 
 @inlined
+def is_held_out(tile, geometry, pixel, s, triangle):
+    """Whether row s has met a holdout that the camera sees itself."""
+    return geometry.held_out[geometry.object[triangle]] != 0 and tile.kinds[pixel, s] == CAMERA and not tile.glass[pixel, s] > 0
+
+
+@inlined
 def is_scattered(tile, pixel, s):
     """Whether a row shows what a ray drawn from a lobe has met, which may be another surface for every sample."""
     return tile.kinds[pixel, s] == GLOSSY or not tile.shining[pixel, s]
@@ -588,11 +600,12 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
         before = EMITTED + 3 * min(glass[pixel, s], 2)
         group_of[s] = -1
         seen = _0
-        if triangle < 0:
+        held = triangle >= 0 and is_held_out(tile, geometry, pixel, s, triangle)
+        if triangle < 0 or held:
             emitted = before + 3 * GLASS * world_group
             if not behind_glass:
                 out[CLEAR] += (wr + wg + wb) * _THIRD
-            if world_visibility & tile.kinds[pixel, s] and tile.shining[pixel, s]:
+            if not held and world_visibility & tile.kinds[pixel, s] and tile.shining[pixel, s]:
                 if tile.kinds[pixel, s] == CAMERA:
                     er, eg, eb = world_radiance(world.seen, dx, dy, dz)
                 else:

@@ -10,7 +10,7 @@ from mathutils import Euler, Matrix
 from lumigate.addon.extract import extract_scene
 from lumigate.addon.extract import geometry as room
 from lumigate.core.errors import SceneError
-from lumigate.core.scene import ALL_RAYS, CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
+from lumigate.core.scene import ALL_RAYS, CAMERA, DIFFUSE, GLOSSY, HOLDOUT, SHADOW, TRANSMISSION
 
 POSES = {
     "identity": Matrix.Identity(4),
@@ -318,8 +318,8 @@ def test_indirect_only_and_holdout_collections(stage):
     layers.children["Holdout"].holdout = True
     scene = stage.extract()
     visible = dict(zip(scene.geometry.object_names, scene.geometry.object_visibility.tolist()))
-    assert visible == {"Indirect": ALL_RAYS & ~CAMERA, "Holdout": ALL_RAYS}
-    assert any("'Holdout' is a holdout" in warning for warning in scene.warnings)
+    assert visible == {"Indirect": ALL_RAYS & ~CAMERA, "Holdout": ALL_RAYS | HOLDOUT}
+    assert not scene.warnings
 
 
 @pytest.mark.parametrize("within", ["material", "group"])
