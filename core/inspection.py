@@ -51,7 +51,7 @@ def contents(scene: Scene, emitters: Emitters) -> dict:
         "flux_w": [float(v) for v in emitters.flux.sum(axis=0)],
         "camera": {
             "name": camera.name,
-            "kind": "orthographic" if camera.orthographic else "perspective",
+            "kind": "orthographic" if camera.orthographic else "panoramic" if camera.panorama else "perspective",
             "size": [camera.width, camera.height],
             "border": list(camera.border),
         },

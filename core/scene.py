@@ -189,15 +189,16 @@ class World:
 
 @dataclass
 class Camera:
-    """A pinhole or orthographic camera.
+    """A pinhole, orthographic or panoramic (equirectangular) camera.
 
     matrix: (4, 4) float64, camera to world minus origin, rigid (no scale); looks along -z, y up.
     orthographic: else perspective.
-    window: (left, right, bottom, top) of the full frame, at distance 1 (perspective) or in metres
-        (orthographic); sensor fit, shift and pixel aspect are in it.
+    window: (left, right, bottom, top) of the full frame, at distance 1 (perspective), in metres
+        (orthographic) or radians (panoramic: to the right of the axis and above it); sensor fit, shift and pixel aspect are in it.
     width, height: pixels of the full frame.
     border: (x0, y0, x1, y1) in pixels, x to the right, y DOWN from the top: the part to be rendered.
-    near, far: clip distances along the view axis (m).
+    near, far: clip distances along the view axis (m), of a panorama along the rays.
+    panorama: else one of the others.
     """
 
     matrix: np.ndarray
@@ -209,6 +210,7 @@ class Camera:
     near: float
     far: float
     name: str = ""
+    panorama: bool = False
 
 
 @dataclass

@@ -63,8 +63,10 @@ class PointLight(NamedTuple):
         """The light (N, 3 G) that a pass has found at its points."""
         across = np.float32(abs(camera.window[1] - camera.window[0]) / camera.width)
         depth = np.float32(1)
-        if not camera.orthographic:
-            eye, axis = (np.asarray(camera.matrix[:3, k], np.float32) for k in (3, 2))
+        eye, axis = (np.asarray(camera.matrix[:3, k], np.float32) for k in (3, 2))
+        if camera.panorama:
+            depth = np.linalg.norm(points.position - eye, axis=1)
+        elif not camera.orthographic:
             depth = np.abs((points.position - eye) @ axis)
         whole = irradiance if irradiance.shape[1] == 3 else irradiance.reshape(len(irradiance), -1, 3).sum(axis=1)
         albedo = points.albedo * (points.behind_glass == 0)[:, None]

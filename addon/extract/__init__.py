@@ -143,7 +143,7 @@ def _assembled(
 
 def _shot(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, view: Camera | None) -> Shot:
     owners = tuple(owner for owner in (layer, scene, scene.world) if owner is not None)
-    if view is None or view.name not in scene.objects:
+    if view is None or view.panorama or view.name not in scene.objects:
         return Shot(scene.frame_current, owners=owners)
     return Shot(scene.frame_current, view.name, view.window, view.orthographic, owners)
 

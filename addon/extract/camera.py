@@ -27,12 +27,23 @@ def find_camera(scene: bpy.types.Scene, name: str | None = None) -> bpy.types.Ob
             raise SceneError(f"scene '{scene.name}' has no active camera: set one, or name one of: {_cameras(scene)}")
     if camera.type != "CAMERA":
         raise SceneError(f"'{camera.name}' is no camera but of type {camera.type.lower()}; choose one of: {_cameras(scene)}")
-    if camera.data.type not in ("PERSP", "ORTHO"):
+    kind = _kind(camera.data)
+    if kind not in ("PERSP", "ORTHO", "EQUIRECTANGULAR"):
         raise SceneError(
-            f"camera '{camera.name}' is of type {camera.data.type.lower()}: only perspective and orthographic cameras "
+            f"camera '{camera.name}' is of type {kind.lower()}: only perspective, orthographic and equirectangular panoramic cameras "
             "can be rendered; change Type in its data properties"
         )
     return camera
+
+
+def _panorama(data: bpy.types.Camera):
+    """Whatever holds the settings of a panoramic camera."""
+    return data if hasattr(data, "panorama_type") else data.cycles
+
+
+def _kind(data: bpy.types.Camera) -> str:
+    """The type of a camera, of a panoramic one the type of its panorama."""
+    return _panorama(data).panorama_type if data.type == "PANO" else data.type
 
 
 @dataclass(frozen=True)
@@ -80,6 +91,7 @@ def extract_camera(camera: bpy.types.Object, frame: Frame) -> Camera:
     return Camera(
         matrix=placed,
         orthographic=data.type == "ORTHO",
+        panorama=data.type == "PANO",
         window=_window(data, frame),
         width=frame.width,
         height=frame.height,
@@ -107,11 +119,14 @@ def _cameras(scene: bpy.types.Scene) -> str:
 
 
 def _window(data: bpy.types.Camera, frame: Frame) -> tuple[float, float, float, float]:
-    """Left, right, bottom and top edge of the image at distance 1, or in metres if orthographic.
+    """Left, right, bottom and top edge of the image at distance 1, or in metres if orthographic, in radians if panoramic.
 
     The larger side (or the one that the sensor fit names) spans the sensor or the orthographic scale;
     shift counts in units of that side (`blender_camera_viewplane` of Cycles' blender/camera.cpp).
     """
+    if data.type == "PANO":
+        view = _panorama(data)
+        return view.longitude_min, view.longitude_max, view.latitude_min, view.latitude_max
     wide, high = frame.width * frame.pixel_aspect, frame.height
     horizontal = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and wide > high)
     sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width

@@ -82,7 +82,12 @@ def _project(camera, x, y, z):
     cx = dx * m[0, 0] + dy * m[1, 0] + dz * m[2, 0]
     cy = dx * m[0, 1] + dy * m[1, 1] + dz * m[2, 1]
     depth = -(dx * m[0, 2] + dy * m[1, 2] + dz * m[2, 2])
-    if not camera.orthographic:
+    if camera.panorama:
+        away = np.float32(np.sqrt(cx * cx + cy * cy + depth * depth))
+        if not away > camera.clip[0]:
+            return _0, _0, False
+        cx, cy = np.float32(np.arctan2(cx, depth)), np.float32(np.arcsin(min(_1, max(-_1, cy / away))))
+    elif not camera.orthographic:
         if not depth > camera.clip[0]:
             return _0, _0, False
         cx, cy = cx / depth, cy / depth
@@ -90,6 +95,15 @@ def _project(camera, x, y, z):
     u = (cx - w[0]) / (w[1] - w[0]) * np.float32(camera.size[0])
     v = (cy - w[3]) / (w[2] - w[3]) * np.float32(camera.size[1])
     return u, v, True
+
+
+@inlined
+def _slant(camera, position, nx, ny, nz):
+    """|cosine| of a surface's normal n with the depth that a camera counts there."""
+    if not camera.panorama:
+        return abs(nx * camera.matrix[0, 2] + ny * camera.matrix[1, 2] + nz * camera.matrix[2, 2])
+    dx, dy, dz = position[0] - camera.matrix[0, 3], position[1] - camera.matrix[1, 3], position[2] - camera.matrix[2, 3]
+    return abs(nx * dx + ny * dy + nz * dz) / max(np.float32(np.sqrt(dx * dx + dy * dy + dz * dz)), np.float32(1e-20))
 
 
 @inlined
@@ -144,7 +158,7 @@ def _reproject_rows(now, before, light, was, moved, begin, end, out, coverage):
                 if abs(dx * mx + dy * my + dz * mz) > SAME_PLANE * pixel:
                     continue
                 reach = SAME_REACH * pixel
-                slant = abs(mx * before.camera.matrix[0, 2] + my * before.camera.matrix[1, 2] + mz * before.camera.matrix[2, 2])
+                slant = _slant(before.camera, before.position[ty, tx], mx, my, mz)
                 if (dx * dx + dy * dy + dz * dz) * max(slant, np.float32(0.1)) > reach * reach:
                     continue
                 total += weight

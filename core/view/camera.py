@@ -17,7 +17,7 @@ class CameraTables(NamedTuple):
 
     matrix: (3, 4) float32, camera to scene.  window: (4,) float32, left, right, bottom, top.
     clip: (2,) float32, near and far.  size: (2,) int32, full frame.  border: (4,) int32, x0, y0, x1, y1.
-    orthographic: bool.
+    orthographic, panorama: bool.
     """
 
     matrix: np.ndarray
@@ -26,6 +26,7 @@ class CameraTables(NamedTuple):
     size: np.ndarray
     border: np.ndarray
     orthographic: bool
+    panorama: bool
 
 
 def camera_tables(camera: Camera) -> CameraTables:
@@ -37,6 +38,7 @@ def camera_tables(camera: Camera) -> CameraTables:
         np.asarray([camera.width, camera.height], np.int32),
         np.asarray(camera.border, np.int32),
         bool(camera.orthographic),
+        bool(camera.panorama),
     )
 
 
@@ -44,7 +46,7 @@ def camera_tables(camera: Camera) -> CameraTables:
 def camera_ray(camera, x, y):
     """The ray through the image position (x, y) in pixels of the full frame, y down.
 
-    Returns origin (on the near plane), unit direction, and the way along the ray for one metre along the view axis.
+    Returns origin (on the near plane, a sphere of a panorama), unit direction, and the way along the ray for one metre of depth.
     """
     m = camera.matrix
     wx = camera.window[0] + (camera.window[1] - camera.window[0]) * (x / np.float32(camera.size[0]))
@@ -56,11 +58,21 @@ def camera_ray(camera, x, y):
         oy = m[1, 3] + wx * m[1, 0] + wy * m[1, 1] + near * dy
         oz = m[2, 3] + wx * m[2, 0] + wy * m[2, 1] + near * dz
         return ox, oy, oz, dx, dy, dz, np.float32(1.0)
-    lx = wx * m[0, 0] + wy * m[0, 1] - m[0, 2]
-    ly = wx * m[1, 0] + wy * m[1, 1] - m[1, 2]
-    lz = wx * m[2, 0] + wy * m[2, 1] - m[2, 2]
+    ahead = np.float32(1.0)
+    if camera.panorama:
+        across = np.cos(wy)
+        wx, wy, ahead = across * np.sin(wx), np.sin(wy), across * np.cos(wx)
+    lx = wx * m[0, 0] + wy * m[0, 1] - ahead * m[0, 2]
+    ly = wx * m[1, 0] + wy * m[1, 1] - ahead * m[1, 2]
+    lz = wx * m[2, 0] + wy * m[2, 1] - ahead * m[2, 2]
     slant = np.sqrt(lx * lx + ly * ly + lz * lz)
     return m[0, 3] + near * lx, m[1, 3] + near * ly, m[2, 3] + near * lz, lx / slant, ly / slant, lz / slant, slant
+
+
+@inlined
+def depth_along(camera, dx, dy, dz):
+    """Depth (m) that one metre along the unit direction d adds: along the view axis, but for panoramas, which count the way itself."""
+    return np.float32(1.0) if camera.panorama else -(dx * camera.matrix[0, 2] + dy * camera.matrix[1, 2] + dz * camera.matrix[2, 2])
 
 
 @inlined

@@ -64,6 +64,10 @@ def lamps_in_tile(lamps, camera, x0, y0, x1, y1, near):
     """Number of lamps that rays through the pixels x0 <= x < x1, y0 <= y < y1 may meet, and their indices in `near` (A,)."""
     if len(lamps.kind) == 0:
         return 0
+    if camera.panorama:  # which may look to all sides
+        for i in range(len(lamps.kind)):
+            near[i] = i
+        return len(lamps.kind)
     # All rays lie in a cone about the middle one, whose apex is widened to hold where they begin.
     ox, oy, oz, dx, dy, dz, _ = camera_ray(camera, np.float32(x0 + x1) * _HALF, np.float32(y0 + y1) * _HALF)
     wide, cosine = _0, _1

@@ -62,7 +62,7 @@ from ..surfaces.microfacet import SMALLEST_ALPHA
 from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import evaluate, from_within, specular_view
 from ..surfaces.visibility import passed_glass
-from .camera import camera_ray, pixel_sample
+from .camera import camera_ray, depth_along, pixel_sample
 from .lamps import lamps_between
 
 TILE = 4  # pixels along a tile's edge: 16 rays, one packet, for each sample index
@@ -385,7 +385,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
         tile.parted[lane] = tile.looking[lane] = 0
         tile.frosted[lane] = -1
         tile.choice[lane, 0], tile.choice[lane, 1] = _choice(s, seed, py * camera.size[0] + px), _1
-        tile.axial[lane] = -(dx * camera.matrix[0, 2] + dy * camera.matrix[1, 2] + dz * camera.matrix[2, 2])
+        tile.axial[lane] = depth_along(camera, dx, dy, dz)
         tile.before[lane] = camera.clip[0]
     layer = 0
     active = True

@@ -114,5 +114,5 @@ def test_a_cancelled_render_hands_nothing_over(scene, monkeypatch):
 
 def test_a_scene_that_cannot_be_rendered_is_refused_in_one_line(scene):
     scene.camera.data.type = "PANO"
-    with pytest.raises(RuntimeError, match=f"'{scene.camera.name}' .* only perspective and orthographic"):
+    with pytest.raises(RuntimeError, match=f"'{scene.camera.name}' .* only perspective, orthographic"):
         bpy.ops.render.render()

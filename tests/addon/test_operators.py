@@ -153,7 +153,7 @@ def test_a_cancelled_render_lets_go_of_the_denoiser(scene, monkeypatch):
 
 def test_a_scene_error_is_reported_in_one_line(scene):
     scene.camera.data.type = "PANO"
-    with pytest.raises(RuntimeError, match="perspective and orthographic"):
+    with pytest.raises(RuntimeError, match="perspective, orthographic"):
         bpy.ops.lumigate.add_indirect_light()
     assert operators.JobOperator.running is None
 

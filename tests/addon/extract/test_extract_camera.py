@@ -84,13 +84,31 @@ def test_named_camera_is_taken(stage):
     assert (scene.camera.matrix[:3, 3] + scene.origin)[0] == pytest.approx(7)
 
 
+def panoramic(stage, kind):
+    """Makes the stage's camera a panoramic one of that kind; what holds its settings."""
+    data = stage.camera.data
+    data.type = "PANO"
+    view = data if hasattr(data, "panorama_type") else data.cycles
+    view.panorama_type = kind
+    return view
+
+
+def test_a_panorama_spans_its_longitudes_and_latitudes(stage):
+    stage.cube()
+    view = panoramic(stage, "EQUIRECTANGULAR")
+    view.longitude_min, view.longitude_max, view.latitude_min, view.latitude_max = -1.0, 2.0, -0.5, 1.25
+    camera = stage.extract().camera
+    assert camera.panorama and not camera.orthographic
+    assert camera.window == pytest.approx((-1.0, 2.0, -0.5, 1.25))
+
+
 @pytest.mark.parametrize(
     ("spoil", "options", "message"),
     [
         (lambda s: setattr(s.scene, "camera", None), {}, "no active camera.*Camera"),
         (lambda s: setattr(s.scene, "camera", s.cube("Box")), {}, "'Box' is no camera"),
         (lambda s: None, {"camera": "Nobody"}, "no camera 'Nobody'.*Camera"),
-        (lambda s: setattr(s.camera.data, "type", "PANO"), {}, "'Camera'.*perspective and orthographic"),
+        (lambda s: panoramic(s, "FISHEYE_EQUIDISTANT"), {}, "'Camera'.*of type fisheye.*perspective, orthographic and equirectangular"),
         (lambda s: setattr(s.camera, "scale", (0, 1, 1)), {}, "'Camera'.*scale of zero"),
         (lambda s: None, {"size": (0, 10)}, "0x10"),
         (lambda s: setattr(s.scene.render, "resolution_percentage", 1), {}, "0x0"),
