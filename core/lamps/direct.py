@@ -37,7 +37,7 @@ from ..surfaces.sheen import factors
 from ..surfaces.terminator import LOW, lift
 from ..surfaces.visibility import OUTSIDE, nearest_surface, transmittance1
 from ..threads import Progress, run_chunks
-from .departures import REFLECTS, VARIED, differs, is_patterned, place_for_world, place_of, position_at, surface_at
+from .departures import REFLECTS, VARIED, differs, is_patterned, on_one_facet, place_for_world, place_of, position_at, surface_at
 from .escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray, no_gather_rays
 from .links import is_hidden_alike, lights
 from .lookup import BOTH, EACH, can_be_met, emitter_density, emitter_of, ray_kind, share_of, sought
@@ -391,6 +391,7 @@ class _Block(NamedTuple):
     lobe: (B, LOBE) float32.  drawn: (B,) int64, rays drawn from the lobe.  expected: (B, G) float32, samples beside those.
     number: (B, G) float32, samples of each group on average.  unshadowed: (B, G) float32, `group_estimate` of the tree, as `aimed_density` takes it.
     patterned: (B, G) float32, mean of `ShadingPoints.varied` over the albedos at the places that a group's samples leave from.
+    turned: (LOBE,) float32, scratch: the lobe about the normal of one place.
     """
 
     estimate: np.ndarray
@@ -406,6 +407,7 @@ class _Block(NamedTuple):
     number: np.ndarray
     unshadowed: np.ndarray
     patterned: np.ndarray
+    turned: np.ndarray
 
 
 class _Rays(NamedTuple):
@@ -437,7 +439,7 @@ def _new_block(points, groups):
         np.zeros((points, groups), f), np.zeros((points, groups), f), np.zeros((points, groups), i), np.zeros(points, i),
         np.empty((points, CUT), i), np.empty((points, CUT), f), np.empty(points, np.int64),
         np.full((points, LOBE), -_1), np.zeros(points, np.int64), np.zeros((points, groups), f),
-        np.zeros((points, groups), f), np.zeros((points, groups), f), np.zeros((points, groups), f),
+        np.zeros((points, groups), f), np.zeros((points, groups), f), np.zeros((points, groups), f), np.empty(LOBE, f),
     )  # fmt: skip
 
 
@@ -552,6 +554,12 @@ def is_turned(points, i):
 
 
 @inlined
+def is_turned_at(points, i, place):
+    """Whether lobes of point i are about another normal at one of its places: a small ball mirrors a lamp in a part of a pixel alone."""
+    return place > 0 and points.varied.shape[1] > 0 and is_turned(points, i) and on_one_facet(points, i, place)
+
+
+@inlined
 def _is_world(emitters, g):
     return emitters.groups[g] >= 0 and emitters.kind[emitters.groups[g]] == WORLD
 
@@ -603,9 +611,11 @@ def _put(scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, g, b, w, 
         light[0], light[1], light[2] = _by_sheen(points, i, dx, dy, dz, light[0], light[1], light[2])
     if block.lobe[k, ALPHA] > _0 and shine > _0 and own > _0 and not (emitters.flags[e] & SHARP and is_turned(points, i)):
         drawn = block.drawn[k] if across > _0 else np.int64(0)
-        fr, fg, fb = _lobe_share(
-            emitters, e, block.lobe[k], drawn, block.expected[k], block.unshadowed[k], px, py, pz, sx, sy, sz, dx, dy, dz
-        )
+        lobe = block.lobe[k]
+        if is_turned_at(points, i, place):
+            lobe = block.turned
+            set_place_lobe(points, i, place, lobe)
+        fr, fg, fb = _lobe_share(emitters, e, lobe, drawn, block.expected[k], block.unshadowed[k], px, py, pz, sx, sy, sz, dx, dy, dz)
         glossy[0], glossy[1], glossy[2] = shine * fr * r, shine * fg * g, shine * fb * b
     else:
         glossy[0] = glossy[1] = glossy[2] = _0
@@ -990,6 +1000,18 @@ def set_point_lobe(points, i, lobe):
     """The lobe of point i (of `Receivers` or `ShadingPoints`) into a row."""
     set_lobe(
         lobe, points.ns[i, 0], points.ns[i, 1], points.ns[i, 2], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2],
+        points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], points.roughness[i],
+        points.f0[i, 0], points.f0[i, 1], points.f0[i, 2], points.f90[i, 0], points.f90[i, 1], points.f90[i, 2],
+        points.gloss[i, 0], points.gloss[i, 1], points.gloss[i, 2], points.gloss[i, 3],
+    )  # fmt: skip
+
+
+@leaf
+def set_place_lobe(points, i, place, lobe):
+    """The lobe of point i about the shading normal at one of its places into a row."""
+    nx, ny, nz, _, _, _, _ = surface_at(points, i, place)
+    set_lobe(
+        lobe, nx, ny, nz, points.ng[i, 0], points.ng[i, 1], points.ng[i, 2],
         points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], points.roughness[i],
         points.f0[i, 0], points.f0[i, 1], points.f0[i, 2], points.f90[i, 0], points.f90[i, 1], points.f90[i, 2],
         points.gloss[i, 0], points.gloss[i, 1], points.gloss[i, 2], points.gloss[i, 3],

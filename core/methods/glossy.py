@@ -13,7 +13,17 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from ..lamps.direct import aimed_density, direct_light, expected_samples, is_turned, passed_straight, set_point_lobe
+from ..lamps.departures import place_of
+from ..lamps.direct import (
+    aimed_density,
+    direct_light,
+    expected_samples,
+    is_turned,
+    is_turned_at,
+    passed_straight,
+    set_place_lobe,
+    set_point_lobe,
+)
 from ..lamps.links import is_hidden_alike, lights
 from ..lamps.lookup import emitter_of, lamp_along, share_of
 from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, SHARP, TEXTURED, WORLD
@@ -214,6 +224,12 @@ def _reflect_chunk(
         past = goes_past(scene, points.triangle[i], points.tilt[i])
         for s in range(n):
             index = first * n + s
+            if turned:
+                place = place_of(points, i, index, key)
+                if is_turned_at(points, i, place):
+                    set_place_lobe(points, i, place, lobe)
+                else:
+                    set_point_lobe(points, i, lobe)
             dx, dy, dz, wr, wg, wb, density = sample_above(lobe, gx, gy, gz, past, sobol(index, 0, key), sobol(index, 1, key))
             if not max(wr, wg, wb) > _0:
                 continue

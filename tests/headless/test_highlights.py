@@ -1,6 +1,7 @@
 """Highlights of a sun and a small lamp on balls and handles of ten pixels, against Cycles."""
 
 import math
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -46,3 +47,22 @@ def test_small_things_shine():
     assert np.mean(ours) == pytest.approx(expected.mean(), rel=0.08)
     for found in ours:
         assert np.sqrt(np.mean((found - expected) ** 2)) < 0.6 * np.sqrt(np.mean(expected**2))
+
+
+def test_a_lamp_shows_in_every_small_mirror():
+    """In parts of the pixels of a ball of 12 pixels, each of which turns by ten degrees: by one normal a pixel showed all of it or nothing (+- 81 %)."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=48, ring_count=24, radius=0.4, location=(0, 0, 0))
+    bpy.ops.object.shade_smooth()
+    bpy.context.object.data.materials.append(material("Chrome", Base_Color=(0.9, 0.9, 0.9, 1), Metallic=1.0, Roughness=0.05))
+    lamp(scene, "AREA", (0.4, -1.5, 1.5), (math.radians(45), 0, 0), energy=50.0, shape="DISK", size=0.6)
+    look(scene, (0, -2, 0), (math.pi / 2, 0, 0), lens=45)
+    size = (24, 16)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=1024, size=size, bounces=0))
+    arrays = extract_scene(scene, size=size)
+    settings = RenderSettings(method="importance-sampling", bounces=0, denoise=False)
+    found = [render(arrays, replace(settings, seed=seed)).layers["Direct"].mean() for seed in range(16)]
+    expected = float(reference["Direct"].mean())
+    assert np.mean(found) == pytest.approx(expected, rel=0.08)
+    assert np.std(found) < 0.55 * expected
