@@ -14,7 +14,7 @@ import numpy as np
 from ..jit import inlined, kernel
 from ..scene import ANGLED, CONSTANT, COVERED, TRANSLUCENT, MaterialTables
 from .covers import own_materials
-from .layout import COAT, SHEEN_ROUGHNESS, diffuse_albedo, diffuse_albedo_average
+from .layout import COAT, SHEEN_ROUGHNESS, SURFACE, diffuse_albedo, diffuse_albedo_average
 from .places import some_surfaces
 from .program import reflected_view
 
@@ -111,13 +111,14 @@ def views(tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, 
     met = plain & (mean > 1e-6)
     probed[met] = (seen[met] / mean[met, None] - 1)[:, None]
     whole[:] = probed
+    if by_angle.any():
+        cosines = [sign * max(_cosine(k), np.float32(1e-4)) for sign in (1, -1) for k in range(VIEWS)]
+        surfaces, owner = some_surfaces(tables, material, attributes, by_angle, threads, [reflected_view(cosine) for cosine in cosines])
+        surfaces, owner = surfaces.reshape(2, VIEWS, -1, SURFACE), owner.reshape(2, VIEWS, -1)
     for side in range(2 if by_angle.any() else 0):
         light = np.zeros((count, VIEWS), np.float32)
         for k in range(VIEWS):
-            cosine = max(_cosine(k), np.float32(1e-4))
-            _add_view(
-                *some_surfaces(tables, material, attributes, by_angle, threads, reflected_view(-cosine if side else cosine)), k, light
-            )
+            _add_view(surfaces[side, k], owner[side, k], k, light)
         average = np.where(angled, light @ _OVER_VIEWS, mean)
         known = by_angle & (average > 1e-6)
         whole[known, side] = light[known] / average[known, None] - 1

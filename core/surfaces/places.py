@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..jit import kernel
@@ -28,11 +30,12 @@ def _some_triangles(material, found, number):
 
 
 def some_surfaces(
-    tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, wanted: np.ndarray, threads: int = 0, cosine: float = MEAN_VIEW
-) -> tuple[np.ndarray, np.ndarray]:
-    """Surfaces (N, SURFACE) float32 at up to `PLACES` triangles of each of the `wanted` (M,) bool materials, and the material of each, (N,).
+    tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, wanted: np.ndarray, threads: int = 0,
+    cosines: Sequence[float] = (MEAN_VIEW,),
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Surfaces (K N, SURFACE) float32 at up to `PLACES` triangles of each of the `wanted` (M,) bool materials, view by view, and the material of each, (K N,).
 
-    material: (T,) int32, of the triangles.  attributes: (K, T, 3, 4) float32.  cosine: of the view, as for `program.evaluate`.
+    material: (T,) int32, of the triangles.  attributes: (K, T, 3, 4) float32.  cosines: (K,) of the views, as for `program.evaluate`.
     """
     found = np.full((len(wanted), PLACES), -1, np.int32)
     _some_triangles(material, found, np.zeros(len(wanted), np.int64))
@@ -41,5 +44,6 @@ def some_surfaces(
     triangle = found[found >= 0]
     u, v = np.random.default_rng(0).random((2, len(triangle)))
     u, v = 1 - np.sqrt(u), v * np.sqrt(u)
-    surfaces = evaluate_batch(tables, material, attributes, triangle, u.astype(np.float32), v.astype(np.float32), cosine, threads)
-    return surfaces.reshape(-1, SURFACE), owner
+    places = [np.tile(column, len(cosines)) for column in (triangle, u.astype(np.float32), v.astype(np.float32))]
+    surfaces = evaluate_batch(tables, material, attributes, *places, np.repeat(np.asarray(cosines, np.float32), len(triangle)), threads)
+    return surfaces.reshape(-1, SURFACE), np.tile(owner, len(cosines))
