@@ -38,6 +38,7 @@ from ..scene import CONSTANT, EMISSIVE, GLOSSY, NORMAL_MAPPED, REFRACTIVE, TRANS
 from ..surfaces.bending import nearest_reflected
 from ..surfaces.brushed import is_brushed
 from ..surfaces.bumps import mean_shadowing
+from ..surfaces.by_view import at_view
 from ..surfaces.layout import (
     DIFFUSE,
     EMISSION,
@@ -50,6 +51,7 @@ from ..surfaces.layout import (
     TILT,
     diffuse_albedo,
     glossy_albedo,
+    take_lobe,
     translucency,
 )
 from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, goes_past, is_behind, lobe_cosine, reflection_count, sample_above
@@ -59,8 +61,8 @@ from ..surfaces.visibility import OUTSIDE
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .light_cache import LightCache, add_known, find_cell, more_by_view, no_cache
-from .tails import tail_light
+from .light_cache import LightCache, add_known, find_cell, more_by_view, no_cache, take_lobes
+from .tails import path_light, tail_light
 from .wide_lobes import (
     NARROW,
     SharedRays,
@@ -201,7 +203,7 @@ def _reflect_chunk(
     packet = new_packet()
     rows = new_registers(scene.materials)
     surface = np.zeros(SURFACE, np.float32)
-    lobe = np.zeros(LOBE, np.float32)
+    lobe, another = np.zeros(LOBE, np.float32), np.zeros(LOBE, np.float32)
     groups = len(emitters.groups)
     estimate, count, expected = np.empty(groups, np.float32), np.empty(groups, np.int32), np.empty(groups, np.float32)
     shining = len(emitters.source)
@@ -313,8 +315,9 @@ def _reflect_chunk(
                     cache, px, py, pz, hx, hy, hz, surface_side(scene.materials, material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
                 )  # fmt: skip
                 seen = -(hx * ex + hy * ey + hz * ez)
+                carried = _0
                 if cell >= 0 and (shares or thrown):
-                    part, carried = _1, _0
+                    part = _1
                     if shares:
                         part = balance(drawn, gather_density(shared.gather[i], across))
                     if shares and shared.lights:
@@ -326,13 +329,24 @@ def _reflect_chunk(
                         known[i, c] += part * wr * _INV_PI * known_light(cache, cell, c, glossy, carried, turned)
                         known[i, c + 1] += part * wg * _INV_PI * known_light(cache, cell, c + 1, glossy, carried, turned)
                         known[i, c + 2] += part * wb * _INV_PI * known_light(cache, cell, c + 2, glossy, carried, turned)
-                    continue
                 elif cell >= 0:
                     part = glossy * _INV_PI
                     add_known(cache, row, cell, seen, part * wr, part * wg, part * wb, known, i)
                     if row > 0 and glossy < _1:
                         part = _INV_PI - part
                         add_known(cache, row - 1, cell, seen, part * wr, part * wg, part * wb, known, i)
+                    take_lobes(cache, cell, _INV_PI * wr, _INV_PI * wg, _INV_PI * wb, known, i)
+                if cell >= 0:
+                    follow = at_view(cache.follow, cache.side[cell], seen)
+                    if uniform(key, index, 1, 6) < follow:  # what its lobe reflects has a direction
+                        take_lobe(surface)
+                        scale = _INV_PI / follow
+                        sheen = (_1 - cache.trust[cell] * carried) * (cache.shine if shares or thrown else _1)
+                        path_light(
+                            scene, packet, rows, surface, another, cache, near, triangle, px, py, pz, p_error, hx, hy, hz, nx, ny, nz, -ex, -ey, -ez,
+                            inside, row + np.int64(uniform(key, index, 1, 5) < glossy), True, hash_combine(key, np.uint32(1)), np.uint32(index),
+                            known, i, scale * wr, scale * wg, scale * wb, _1, sheen, _1, _1,
+                        )  # fmt: skip
                     continue
             if roulette:
                 go_on = min(np.float32(0.95), max(wr, wg, wb))

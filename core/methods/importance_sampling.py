@@ -45,8 +45,9 @@ from ..rays.trace import ALL, OPAQUE, intersect_packet, occluded_packet
 from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..scene import DIFFUSE, EMISSIVE, METAL, TRANSPARENT
-from ..surfaces.by_view import difference, views
-from ..surfaces.layout import SURFACE
+from ..surfaces.by_view import at_view, views
+from ..surfaces.following import lobe_chances
+from ..surfaces.layout import SURFACE, take_lobe
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
@@ -60,7 +61,7 @@ from .caustics import Caustics, add_caustics, by_lobes
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
-from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, Probes, build_light_cache, find_cell, look_up, more_by_view
+from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, LightCache, Probes, build_light_cache, find_cell, look_up, more_by_view
 from .partition import strengths, trusted
 from .probes import Tracer, trace_farther, trace_probes
 from .tails import path_light
@@ -253,6 +254,7 @@ def _gathered(
         own = whole = _1
         sheen = cache.shine
         more = _0
+        lobe_only = False
         if len(cache.radiosity) > bounces:
             more = _1 if is_transmitting(points, k) else seen[lane, _GLOSSY]  # to come through counts as no bounce
         if cell >= 0:
@@ -262,28 +264,41 @@ def _gathered(
                 turned = more_by_view(cache, cell, cos_y)
                 by_view = turned * (_1 - clamped * cache.share[cell])
                 for c in range(0, out.shape[1], 3):
-                    out[k, c] += wr * (cache.dull[cell, c] - clamped * cache.lit[cell, c] + by_view * cache.first[cell, c])
-                    out[k, c + 1] += wg * (cache.dull[cell, c + 1] - clamped * cache.lit[cell, c + 1] + by_view * cache.first[cell, c + 1])
-                    out[k, c + 2] += wb * (cache.dull[cell, c + 2] - clamped * cache.lit[cell, c + 2] + by_view * cache.first[cell, c + 2])
+                    out[k, c] += wr * (cache.matte[cell, c] - clamped * cache.matte_lit[cell, c] + by_view * cache.first[cell, c])
+                    out[k, c + 1] += wg * (
+                        cache.matte[cell, c + 1] - clamped * cache.matte_lit[cell, c + 1] + by_view * cache.first[cell, c + 1]
+                    )
+                    out[k, c + 2] += wb * (
+                        cache.matte[cell, c + 2] - clamped * cache.matte_lit[cell, c + 2] + by_view * cache.first[cell, c + 2]
+                    )
                     if more > _0:
                         out[k, c] += more * wr * (cache.radiosity[bounces, cell, c] - cache.radiosity[bounces - 1, cell, c])
                         out[k, c + 1] += more * wg * (cache.radiosity[bounces, cell, c + 1] - cache.radiosity[bounces - 1, cell, c + 1])
                         out[k, c + 2] += more * wb * (cache.radiosity[bounces, cell, c + 2] - cache.radiosity[bounces - 1, cell, c + 2])
                 if t > seen[lane, _REACH] and not is_mirror(scene.materials, scene.material[triangle]):
-                    clamped *= seen[lane, _CARRIED]
+                    carried = clamped * seen[lane, _CARRIED]
                     for c in range(0, out.shape[1], 3):
-                        shown[k, c] += tr * seen[lane, _WEIGHT] * known_light(cache, cell, c, more, clamped, turned)
-                        shown[k, c + 1] += tg * seen[lane, _WEIGHT + 1] * known_light(cache, cell, c + 1, more, clamped, turned)
-                        shown[k, c + 2] += tb * seen[lane, _WEIGHT + 2] * known_light(cache, cell, c + 2, more, clamped, turned)
-                continue
-            share = clamped * cache.share[cell]
-            rest = max(_1 - cache.later * share, np.float32(1e-6))
-            wr, wg, wb = wr * rest, wg * rest, wb * rest
-            own, sheen, whole = (_1 - share) / rest, cache.shine * (_1 - cache.trust[cell] * clamped) / rest, _1 / rest
+                        shown[k, c] += tr * seen[lane, _WEIGHT] * known_light(cache, cell, c, more, carried, turned)
+                        shown[k, c + 1] += tg * seen[lane, _WEIGHT + 1] * known_light(cache, cell, c + 1, more, carried, turned)
+                        shown[k, c + 2] += tb * seen[lane, _WEIGHT + 2] * known_light(cache, cell, c + 2, more, carried, turned)
+                chance = at_view(cache.follow, cache.side[cell], cos_y)
+                if not uniform(seed, path, 3, 3) < chance:
+                    continue
+                # What its lobe reflects is not looked up, for it has a direction.
+                lobe_only = True
+                wr, wg, wb = wr / chance, wg / chance, wb / chance
+                sheen, more = cache.shine * (_1 - cache.trust[cell] * clamped), _0
+            else:
+                share = clamped * cache.share[cell]
+                rest = max(_1 - cache.later * share, np.float32(1e-6))
+                wr, wg, wb = wr * rest, wg * rest, wb * rest
+                own, sheen, whole = (_1 - share) / rest, cache.shine * (_1 - cache.trust[cell] * clamped) / rest, _1 / rest
         if veiled and encloses(scene.materials.flags[scene.material[triangle]], behind):
             sheen = _0
         if not veiled:
             evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
+        if lobe_only:
+            take_lobe(surface)
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
         sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
         if sx * gx + sy * gy + sz * gz < 0:
@@ -350,7 +365,7 @@ def _trace_lights(scene, packet, rows, surface, cutouts, by_view, points, vpls, 
                 r = g = b = _0
         w = value[lane] * np.float32(3.0) / (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2])
         if _is_first_diffuse(vpls, j):
-            w *= _1 + difference(by_view, vpls.side[j], _cosine_at(vpls, j, points, k))
+            w *= _1 + at_view(by_view, vpls.side[j], _cosine_at(vpls, j, points, k))
         else:
             w *= by_lobe(vpls, j, points.position[k, 0], points.position[k, 1], points.position[k, 2])
         c = 3 * scene.emitters.light_group[vpls.emitter[j]]
@@ -584,7 +599,8 @@ class ImportanceSampling:
         self.cache, self.links = build_light_cache(
             probes, self.bounces + (has_lobes(points) or is_translucent(scene)), self.seed, self.threads, part(progress, 0.6, 1.0),
             gathered=self.bounces, later=min(1.0, RELIABLE * focus_share(self.emitters)), relied=self.relied,
-            by_view=by_view, probed_by_view=probed_by_view, mirrors=scene.materials.flags & METAL > 0,
+            by_view=by_view, probed_by_view=probed_by_view,
+            follow=lobe_chances(scene.materials, scene.material, scene.attributes, self.threads), mirrors=scene.materials.flags & METAL > 0,
         )  # fmt: skip
         self.probes = probes
         self.near = np.float32(NEAR * self.cache.size)
@@ -635,6 +651,7 @@ class ImportanceSampling:
         turn: of pictures that are averaged, which then take one batch of particles each, in turn.
         """
         scene = scene._replace(emitters=self.emitters)
+        self.shine = self.links.shine
         thrown_on = throwing(self.probes, self.links, self.cache)
         beside = count if turn is None else -(-count // BATCHES)  # so many pictures' photons are averaged, too
         photon_rays = self._trace_photons(scene, points, beside, self.seed + 6 + BATCH_SEED * (turn or 0), part(progress, 0.0, 0.0))
@@ -661,7 +678,18 @@ class ImportanceSampling:
         self.lights = light_table(self.vpls, max(1, round(len(order) / SUBSET)))
         counts["light"] += photon_rays
         counts["shadow"] += self._redirect(thrown_on)
+        self.cache = self._without_lobes()
         return self.vpls, counts
+
+    def _without_lobes(self) -> LightCache:
+        """The cache with what gather rays look up of surfaces whose lobes they follow."""
+        cache, links = self.cache, self.links
+        if not len(cache.share) or not cache.follow.any():
+            return cache._replace(matte=cache.dull, matte_lit=cache.lit, lobes=np.zeros_like(cache.dull))
+        followed = cache.follow.any(axis=1)[cache.side, None]
+        reflected, shine = followed * links.reflected, followed * self.shine
+        matte, lit = cache.dull - reflected - cache.shine * shine, cache.lit - (cache.shine * cache.trust)[:, None] * shine
+        return cache._replace(matte=matte, matte_lit=lit, lobes=reflected + shine)
 
     def _trace_photons(self, scene: Transport, points: ShadingPoints, count: int, seed: int, progress: Progress | None) -> int:
         """Photons in place of virtual lights and gather rays for what lobes reflect of the lamps, where that is much; the rays traced."""

@@ -19,7 +19,7 @@ from ..jit import inlined, kernel, leaf
 from ..sampling.hashing import uniform
 from ..sampling.maps import orthonormal_basis
 from ..scene import bounds
-from ..surfaces.by_view import VIEWS, difference, differences
+from ..surfaces.by_view import VIEWS, at_view, differences
 from ..threads import Cancelled, Progress, run_chunks
 from .partition import divided
 
@@ -94,7 +94,8 @@ class Links(NamedTuple):
     """How N probes and C cells of a cache hang together, for light whose direction is found later (`thrown`).
 
     cells: (N, LEVELS) int32, of the probes, from the finest on.  link_cell: (N,) int64, where their links end, negative where nothing is known.
-    weight: (N,) float32, of the probes in their cells.  shine: (C, 3 G) float32 W/m^2, of what cells send the lamps' light that lobes reflect.
+    weight: (N,) float32, of the probes in their cells.  shine: (C, 3 G) float32 W/m^2, of what cells send the lamps' light that lobes reflect;  reflected: (C, 3 G), the
+    other light that they do.
     parent: (C,) int64, the next coarser cell, -1 for none.  order: (C,) int64, the cells, the coarsest first.  unit: (C,) float32, what a probe of each weighs.
     """
 
@@ -102,6 +103,7 @@ class Links(NamedTuple):
     link_cell: np.ndarray
     weight: np.ndarray
     shine: np.ndarray
+    reflected: np.ndarray
     parent: np.ndarray
     order: np.ndarray
     unit: np.ndarray
@@ -117,6 +119,8 @@ class LightCache(NamedTuple):
     lit: (C, 3 G) float32 W/m^2, the part of `sent` that virtual lights carry to where their geometry term is not clamped.  How bright a
         cell is, on which that hangs, is told for each half by the other one: the product has no bias by their noise.
     dull: (C, 3 G) float32, of `sent`, what diffuse light and wide lobes get: all of it, or where photons bring what lobes reflect of the lamps (`caustics`) the rest.
+    matte, matte_lit: (C, 3 G) float32 W/m^2, of `dull` and `lit` what diffuse light gets where it follows lobes by the chances `follow` (2 M, `VIEWS`), as of
+        `following.lobe_chances`: nothing that those reflect.  lobes: (C, 3 G), what they reflect of all light.
     share: (C,) float32, how much of a virtual light's flux that is.
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
     later: float32, by which `share` is less for light that has left several surfaces.
@@ -137,6 +141,9 @@ class LightCache(NamedTuple):
     sent: np.ndarray
     lit: np.ndarray
     dull: np.ndarray
+    matte: np.ndarray
+    matte_lit: np.ndarray
+    lobes: np.ndarray
     share: np.ndarray
     tau: np.float32
     later: np.float32
@@ -148,6 +155,7 @@ class LightCache(NamedTuple):
     root: np.ndarray
     first: np.ndarray
     by_view: np.ndarray
+    follow: np.ndarray
 
 
 def no_cache() -> LightCache:
@@ -162,6 +170,9 @@ def no_cache() -> LightCache:
         none.reshape(0, 3),
         none.reshape(0, 3),
         none.reshape(0, 3),
+        none.reshape(0, 3),
+        none.reshape(0, 3),
+        none.reshape(0, 3),
         none,
         np.float32(1),
         np.float32(1),
@@ -172,6 +183,7 @@ def no_cache() -> LightCache:
         np.zeros(0, np.int32),
         np.zeros(0, np.int64),
         none.reshape(0, 3),
+        np.zeros((0, VIEWS), np.float32),
         np.zeros((0, VIEWS), np.float32),
     )
 
@@ -245,7 +257,7 @@ def find_cell(cache, x, y, z, nx, ny, nz, side, u1, u2):
 @inlined
 def more_by_view(cache, cell, cosine):
     """How much more of its `first` light a cell shows a view at a cosine than in the mean."""
-    return difference(cache.by_view, cache.side[cell], cosine)
+    return at_view(cache.by_view, cache.side[cell], cosine)
 
 
 @leaf
@@ -256,6 +268,15 @@ def add_known(cache, row, cell, cosine, wr, wg, wb, out, i):
         out[i, c] += wr * (cache.radiosity[row, cell, c] + more * cache.first[cell, c])
         out[i, c + 1] += wg * (cache.radiosity[row, cell, c + 1] + more * cache.first[cell, c + 1])
         out[i, c + 2] += wb * (cache.radiosity[row, cell, c + 2] + more * cache.first[cell, c + 2])
+
+
+@leaf
+def take_lobes(cache, cell, wr, wg, wb, out, i):
+    """Takes from row i of `out` (N, 3 G), weighed by w, what the lobes of a cell reflect that rays follow."""
+    for c in range(0, out.shape[1], 3):
+        out[i, c] -= wr * cache.lobes[cell, c]
+        out[i, c + 1] -= wg * cache.lobes[cell, c + 1]
+        out[i, c + 2] -= wb * cache.lobes[cell, c + 2]
 
 
 @kernel
@@ -670,6 +691,7 @@ def build_light_cache(
     relied: float = 0.0,
     by_view: np.ndarray | None = None,
     probed_by_view: np.ndarray | None = None,
+    follow: np.ndarray | None = None,
     mirrors: np.ndarray | None = None,
 ) -> tuple[LightCache, Links]:
     """Cells that hold what the probes know of light that left 1 to `bounces` surfaces, and how they hang together.
@@ -677,7 +699,8 @@ def build_light_cache(
     gathered: how many of them the light has left that gather rays look up, None for `bounces`.
     later: what virtual lights carry of light that has left several surfaces, as a part of what they carry of other light.
     relied: the part of what would be left to the cache that virtual lights carry all the same, as far as their geometry term is not clamped.
-    by_view: (2 M, `VIEWS`) of the materials' sides, None where all views are alike.  probed_by_view: the part of it that the probes' light has, None for all.  mirrors: (M,) bool, those whose lobes gather rays follow; None for none.
+    by_view: (2 M, `VIEWS`) of the materials' sides, None where all views are alike.  probed_by_view: the part of it that the probes' light has, None for all.
+    follow: (2 M, `VIEWS`), chances that gather rays follow lobes, None for none.  mirrors: (M,) bool, those whose lobes gather rays follow; None for none.
 
     Raises:
         core.threads.Cancelled: `progress` returned False.
@@ -690,6 +713,7 @@ def build_light_cache(
     n = int(probes.valid.sum())
     if by_view is None:
         by_view = np.zeros((1 + int(probes.side.max(initial=0)), VIEWS), np.float32)
+    follow = np.zeros_like(by_view) if follow is None else follow
     probes = _of_all_views(probes, by_view if probed_by_view is None else probed_by_view)
     origin, extent = _grid(probes)
     size = np.float32(cell_size(probes, origin, extent, seed))
@@ -709,8 +733,8 @@ def build_light_cache(
     halves, shine, first_of, beneath, through = (np.zeros((2, count, probes.direct.shape[1]), np.float32) for _ in range(5))
     one = np.float32(1)
     cache = LightCache(
-        origin, size, keys, slot, radiosity, halves[0], shine[0], halves[0], np.zeros(count, np.float32), one, one,
-        np.ones(count, np.float32), one, radiosity[0, :0], centre, side_of, np.arange(count), radiosity[0], by_view,
+        origin, size, keys, slot, radiosity, *(radiosity[0] for _ in range(6)), np.zeros(count, np.float32), one, one,
+        np.ones(count, np.float32), one, radiosity[0, :0], centre, side_of, np.arange(count), radiosity[0], by_view, follow,
     )  # fmt: skip
     parent = _parents(cache, level_of, centre, side_of)
     root = np.arange(count)
@@ -736,12 +760,24 @@ def build_light_cache(
     number = number_of.sum(axis=0)
     counts = number_of / np.maximum(number, np.float32(1e-6))
     later += relied * (1 - later)
-    sent, lit, thrown, share = divided(
+    sent, lit, thrown, reflected, share = divided(
         halves, shine, first_of, beneath, through, counts, bright, number, tau, parent, np.float32(later), np.float32(relied)
     )
-    links = Links(cells, link_cell, weight, thrown, parent, order, unit)
+    links = Links(cells, link_cell, weight, thrown, reflected, parent, order, unit)
     first = np.maximum(0, np.einsum("hc,hck->ck", counts, first_of) - thrown)
-    return cache._replace(sent=sent, lit=lit, dull=sent, share=share, tau=tau, later=np.float32(later), root=root, first=first), links
+    return cache._replace(
+        sent=sent,
+        lit=lit,
+        dull=sent,
+        matte=sent,
+        matte_lit=lit,
+        lobes=0 * sent,
+        share=share,
+        tau=tau,
+        later=np.float32(later),
+        root=root,
+        first=first,
+    ), links
 
 
 def _of_all_views(probes: Probes, by_view: np.ndarray) -> Probes:

@@ -21,8 +21,8 @@ _1 = np.float32(1.0)
 def divided(
     halves: np.ndarray, shine: np.ndarray, first: np.ndarray, beneath: np.ndarray, through: np.ndarray,
     counts: np.ndarray, bright: np.ndarray, number: np.ndarray, tau: np.float32, parent: np.ndarray, later: np.float32, relied: np.float32,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """`sent` (C, 3 G) and `lit` (C, 3 G) of a light cache, `shine` (C, 3 G) of its links, and `share` (C,).
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """`sent` (C, 3 G) and `lit` (C, 3 G) of a light cache, `shine` and `reflected` (C, 3 G) of its links, and `share` (C,).
 
     halves: (2, C, 3 G) W/m^2, the light that gather rays look up, as half of the paths tells it.  shine: (2, C, 3 G), the part of that
     which virtual lights carry in any case.  first: (2, C, 3 G), the part of it that has left no other surface before; of the rest, lights carry
@@ -31,8 +31,8 @@ def divided(
     bright each cell is as the *other* half tells it.  number: (C,), the weight of each cell's probes.  parent: (C,), the next coarser
     cell, -1 for none.  relied: the part of all other light that lights carry, too.
     """
-    sent, lit, thrown, share = *(np.zeros_like(halves[0]) for _ in range(3)), np.zeros(len(parent), np.float32)
-    rare = np.zeros((3, *sent.shape), np.float32)
+    sent, lit, thrown, reflected, share = *(np.zeros_like(halves[0]) for _ in range(4)), np.zeros(len(parent), np.float32)
+    rare = np.zeros((4, *sent.shape), np.float32)
     for h in range(2):
         part = bright[h] / (bright[h] + tau)
         part += relied * (_1 - part)
@@ -47,12 +47,17 @@ def divided(
             + (counts[h] * (_1 - part))[:, None] * shine[h]
         )
         share += counts[h] * part
-        for part_of, out, aside in ((light, sent, rare[0]), (lights, lit, rare[1]), (counts[h][:, None] * shine[h], thrown, rare[2])):
+        for part_of, out, aside in (
+            (light, sent, rare[0]),
+            (lights, lit, rare[1]),
+            (counts[h][:, None] * shine[h], thrown, rare[2]),
+            (counts[h][:, None] * through[h], reflected, rare[3]),
+        ):
             out += (_1 - beyond) * part_of
             aside += beyond * part_of
-    for out, aside in zip((sent, lit, thrown), rare, strict=True):
+    for out, aside in zip((sent, lit, thrown, reflected), rare, strict=True):
         out += _spread(aside, number, parent)
-    return sent, lit, thrown, share
+    return sent, lit, thrown, reflected, share
 
 
 def strengths(flux: np.ndarray, tau: float, places: np.ndarray) -> np.ndarray:

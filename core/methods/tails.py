@@ -224,7 +224,7 @@ def path_light(
     That is direct light, and light of further surfaces.
 
     The arguments as in `scatter_light`.  bounces: diffuse reflections at most; the first one after a lamp counts even if it
-    is glossy.  follows: whether metal is not looked up, and shows the lamps by its lobe.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
+    is glossy.  follows: whether metal is not looked up.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
     own: how much of the lamps' light that the first surface reflects counts, sheen: of that which it reflects as a glossy one,
     whole: of that which comes from below its facet.  last: of all light that has left as many surfaces as it may.
     out: (N, 3 G) float32 W/m^2, three columns for each light group.
@@ -240,10 +240,9 @@ def path_light(
         first = own if vertex == 0 else _1
         shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1
-        towards = follows and scene.materials.flags[scene.material[on]] & METAL != 0
         dx, dy, dz, tr, tg, tb, kinds = scatter_light(
             scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, 1, left > 0,
-            towards, seed, path, at, out, out, out, out, False, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
+            True, seed, path, at, out, out, out, out, False, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
         )  # fmt: skip
         if kinds == 0:
             break

@@ -107,10 +107,10 @@ def drawn_share(lobe, albedo, density, cosine):
 @inlined
 def known_light(cache, cell, c, share, carried, more):
     """What a cell of a `light_cache.LightCache` sends to a lobe in channel c (W/m^2), less the part `carried` of what virtual lights carry of it,
-    and less what photons bring.
+    and less what photons bring, or lobes that are followed.
 
     share: of it that may have left one surface more than what gather rays look up, `drawn_share`.  more: `more_by_view` of the cell.
     """
     row = len(cache.radiosity) - 1
-    light = cache.dull[cell, c] + share * (cache.radiosity[row, cell, c] - cache.radiosity[row - 1, cell, c]) - carried * cache.lit[cell, c]
-    return light + more * (_1 - carried * cache.share[cell]) * cache.first[cell, c]
+    light = cache.matte[cell, c] + share * (cache.radiosity[row, cell, c] - cache.radiosity[row - 1, cell, c])
+    return light - carried * cache.matte_lit[cell, c] + more * (_1 - carried * cache.share[cell]) * cache.first[cell, c]

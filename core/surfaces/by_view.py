@@ -24,8 +24,8 @@ _1 = np.float32(1)
 
 
 @inlined
-def difference(table, side, cosine):
-    """Light towards a view at `cosine` over its mean over all views, less 1, of a side (`normals.surface_side`) by a `views` table."""
+def at_view(table, side, cosine):
+    """What a table (2 M, `VIEWS`) tells of a side (`normals.surface_side`) for a view at `cosine`: by a `views` table, light over its mean over all views, less 1."""
     x = np.float32(math.sqrt(min(_1, max(_0, cosine)))) * np.float32(VIEWS - 1)
     i = min(np.int64(x), VIEWS - 2)
     low = table[side, i]
@@ -35,19 +35,19 @@ def difference(table, side, cosine):
 @kernel
 def _differences(table, sides, cosine, out):
     for i in range(len(sides)):
-        out[i] = difference(table, sides[i], cosine[i])
+        out[i] = at_view(table, sides[i], cosine[i])
 
 
 def differences(table: np.ndarray, sides: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """`difference` of many sides (N,) at as many cosines, (N,) float32."""
+    """`at_view` of many sides (N,) at as many cosines, (N,) float32."""
     out = np.empty(len(sides), np.float32)
     _differences(table, np.ascontiguousarray(sides, np.int32), np.ascontiguousarray(cosine, np.float32), out)
     return out
 
 
 @inlined
-def _cosine(view):
-    """Of one of the `VIEWS` with the normal."""
+def cosine_of(view):
+    """Cosine of one of the `VIEWS` with the normal."""
     root = np.float32(view) / np.float32(VIEWS - 1)
     return root * root
 
@@ -59,7 +59,7 @@ def _add_views(surfaces, owner, seen, mean):
     for i in range(len(surfaces)):
         surface, m = surfaces[i], owner[i]
         for k in range(VIEWS):
-            r, g, b = diffuse_albedo(surface, _cosine(k))
+            r, g, b = diffuse_albedo(surface, cosine_of(k))
             seen[m, k] += r + g + b
         r, g, b = diffuse_albedo_average(surface)
         mean[m] += r + g + b
@@ -69,8 +69,18 @@ def _add_views(surfaces, owner, seen, mean):
 def _add_view(surfaces, owner, k, seen):
     """Adds the diffuse albedo of surfaces (N, SURFACE), which are as view k sees them, to the rows `owner` (N,) of `seen` (M, VIEWS)."""
     for i in range(len(surfaces)):
-        r, g, b = diffuse_albedo(surfaces[i], _cosine(k))
+        r, g, b = diffuse_albedo(surfaces[i], cosine_of(k))
         seen[owner[i], k] += r + g + b
+
+
+def views_of_sides(
+    tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, wanted: np.ndarray, threads: int = 0
+) -> list[list[tuple[np.ndarray, np.ndarray]]]:
+    """Of both sides, and of each of the `VIEWS`, what `some_surfaces` tells of the `wanted` (M,) bool materials as they are then."""
+    cosines = [sign * max(cosine_of(k), np.float32(1e-4)) for sign in (1, -1) for k in range(VIEWS)]
+    surfaces, owner = some_surfaces(tables, material, attributes, wanted, threads, [reflected_view(cosine) for cosine in cosines])
+    surfaces, owner = surfaces.reshape(2, VIEWS, -1, SURFACE), owner.reshape(2, VIEWS, -1)
+    return [[(surfaces[side, k], owner[side, k]) for k in range(VIEWS)] for side in range(2)]
 
 
 def _over_views() -> np.ndarray:
@@ -84,7 +94,7 @@ _OVER_VIEWS = _over_views()
 
 
 def views(tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, threads: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """(2 M, VIEWS) float32 `difference` of both sides of M materials, and the part of it that is in the surfaces which paths meet.
+    """(2 M, VIEWS) float32 of both sides of M materials, light towards each view over its mean over all views, less 1, and the part of it that is in the surfaces which paths meet.
 
     Those are as the paths see them where the nodes ask for the view (ANGLED); of a coat they are the mean over all views.
 
@@ -111,14 +121,10 @@ def views(tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, 
     met = plain & (mean > 1e-6)
     probed[met] = (seen[met] / mean[met, None] - 1)[:, None]
     whole[:] = probed
-    if by_angle.any():
-        cosines = [sign * max(_cosine(k), np.float32(1e-4)) for sign in (1, -1) for k in range(VIEWS)]
-        surfaces, owner = some_surfaces(tables, material, attributes, by_angle, threads, [reflected_view(cosine) for cosine in cosines])
-        surfaces, owner = surfaces.reshape(2, VIEWS, -1, SURFACE), owner.reshape(2, VIEWS, -1)
-    for side in range(2 if by_angle.any() else 0):
+    for side, surfaces in enumerate(views_of_sides(tables, material, attributes, by_angle, threads) if by_angle.any() else ()):
         light = np.zeros((count, VIEWS), np.float32)
         for k in range(VIEWS):
-            _add_view(surfaces[side, k], owner[side, k], k, light)
+            _add_view(*surfaces[k], k, light)
         average = np.where(angled, light @ _OVER_VIEWS, mean)
         known = by_angle & (average > 1e-6)
         whole[known, side] = light[known] / average[known, None] - 1

@@ -129,6 +129,14 @@ def glossy_albedo(surface, cosine):
 
 
 @leaf
+def take_lobe(surface):
+    """Leaves of a surface what its glossy lobes reflect."""
+    for c in range(3):
+        surface[DIFFUSE + c] = surface[LAYERED + c] = surface[TRANSLUCENCY + c] = surface[SHEEN + c] = F(0)
+    surface[SHEEN_ROUGHNESS] = F(0)
+
+
+@leaf
 def bare(surface):
     """Takes the coat's lobe away from the glossy lobes of a surface, whose roughness and `GLOSS` are then those of the others."""
     coat = surface[COAT] + surface[COAT + 1] + surface[COAT + 2]
