@@ -288,6 +288,7 @@ def _gathered(
                 lobe_only = True
                 wr, wg, wb = wr / chance, wg / chance, wb / chance
                 sheen, more = cache.shine * (_1 - cache.trust[cell] * clamped), _0
+                own = _1 if sheen > _0 else _0
             else:
                 share = clamped * cache.share[cell]
                 rest = max(_1 - cache.later * share, np.float32(1e-6))

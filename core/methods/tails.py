@@ -6,9 +6,8 @@ diffuse or its glossy lobe to the next one, or through it where it is translucen
 
 To Cycles diffuse transmission is no diffuse bounce, so that as many of those may follow as after a glossy reflection.
 
-Of the lamps' light a glossy lobe reflects its true share, but spread as by a diffuse one: a path that finds a small lamp
-in a narrow lobe by chance would be all noise.  To gather rays metal, which sends next to nothing else, shows it by its own lobe, blurred where that
-is narrow: spread over the hemisphere, it would be far too bright to what lies along the surface, as a metal box to a metal floor.  Where virtual
+A lobe shows the lamps' light blurred where it is narrow, and bounded: a path that finds a small lamp in it by chance would be all noise.  Spread over
+the hemisphere, as cells have it, it would be far too bright to what lies along the surface, as a polished box to its floor.  Where virtual
 lights stand for that light, which know its direction, it is left to them.
 """
 
@@ -56,9 +55,9 @@ _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _THIRD = np.float32(1 / 3)
 _PI = np.float32(np.pi)
-BLUR = np.float32(0.35)  # least roughness of the lobe by which metal shows the lamps
+BLUR = np.float32(0.35)  # least roughness of a lobe that shows the lamps
 # Times what a diffuse lobe of its albedo sends, at most: of a blurred lobe that is the peak when looked at straight.  Along the surface it goes to the
-# hundreds, and one path in a million with it: 7 % of the light of a living room in one pixel.
+# hundreds, and one path in a million with it: 7 % of the light of a living room in one pixel.  Of a lamp low over a rough floor a quarter is lost.
 PEAK = np.float32(16.0)
 _MORE_SURFACES = 8  # that a path may meet beyond its diffuse bounces, by glossy reflections
 
@@ -92,7 +91,7 @@ def scatter_light(
     hr, hg, hb = surface[SHEEN], surface[SHEEN + 1], surface[SHEEN + 2]
     f0r, f0g, f0b = surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2]
     f90r, f90g, f90b = surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]
-    share = _1 / np.float32(lamp_rays)
+    share = _1 / np.float32(max(1, lamp_rays))
     shiny = max(f0r, f0g, f0b, f90r, f90g, f90b) > _0
     # As many again on the other side, where light comes through; called in one place, which is as fast as without.
     side = _1
@@ -225,7 +224,7 @@ def path_light(
 
     The arguments as in `scatter_light`.  bounces: diffuse reflections at most; the first one after a lamp counts even if it
     is glossy.  follows: whether metal is not looked up.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
-    own: how much of the lamps' light that the first surface reflects counts, sheen: of that which it reflects as a glossy one,
+    own: how much of the lamps' light that the first surface reflects counts, 0 for no shadow ray, sheen: of that which it reflects as a glossy one,
     whole: of that which comes from below its facet.  last: of all light that has left as many surfaces as it may.
     out: (N, 3 G) float32 W/m^2, three columns for each light group.
     """
@@ -241,7 +240,7 @@ def path_light(
         shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1
         dx, dy, dz, tr, tg, tb, kinds = scatter_light(
-            scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, 1, left > 0,
+            scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, np.int64(first > _0), left > 0,
             True, seed, path, at, out, out, out, out, False, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
         )  # fmt: skip
         if kinds == 0:

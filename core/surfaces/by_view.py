@@ -16,7 +16,7 @@ from ..scene import ANGLED, CONSTANT, COVERED, TRANSLUCENT, MaterialTables
 from .covers import own_materials
 from .layout import COAT, SHEEN_ROUGHNESS, SURFACE, diffuse_albedo, diffuse_albedo_average
 from .places import some_surfaces
-from .program import reflected_view
+from .program import MEAN_VIEW, reflected_view
 
 VIEWS = 16  # cosines, more of them at grazing views: their roots are evenly spaced
 _0 = np.float32(0)
@@ -75,12 +75,13 @@ def _add_view(surfaces, owner, k, seen):
 
 def views_of_sides(
     tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, wanted: np.ndarray, threads: int = 0
-) -> list[list[tuple[np.ndarray, np.ndarray]]]:
-    """Of both sides, and of each of the `VIEWS`, what `some_surfaces` tells of the `wanted` (M,) bool materials as they are then."""
-    cosines = [sign * max(cosine_of(k), np.float32(1e-4)) for sign in (1, -1) for k in range(VIEWS)]
-    surfaces, owner = some_surfaces(tables, material, attributes, wanted, threads, [reflected_view(cosine) for cosine in cosines])
-    surfaces, owner = surfaces.reshape(2, VIEWS, -1, SURFACE), owner.reshape(2, VIEWS, -1)
-    return [[(surfaces[side, k], owner[side, k]) for k in range(VIEWS)] for side in range(2)]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Surfaces (2, VIEWS, N, SURFACE) float32 of the `wanted` (M,) bool materials as both sides are to each view, and as the mean view has them, (N, SURFACE),
+    at the same places; the material of each place, (N,)."""
+    cosines = [reflected_view(sign * max(cosine_of(k), np.float32(1e-4))) for sign in (1, -1) for k in range(VIEWS)]
+    surfaces, owner = some_surfaces(tables, material, attributes, wanted, threads, [*cosines, MEAN_VIEW])
+    n = len(owner) // (len(cosines) + 1)
+    return surfaces[:-n].reshape(2, VIEWS, n, SURFACE), surfaces[-n:], owner[:n]
 
 
 def _over_views() -> np.ndarray:
@@ -121,11 +122,15 @@ def views(tables: MaterialTables, material: np.ndarray, attributes: np.ndarray, 
     met = plain & (mean > 1e-6)
     probed[met] = (seen[met] / mean[met, None] - 1)[:, None]
     whole[:] = probed
-    for side, surfaces in enumerate(views_of_sides(tables, material, attributes, by_angle, threads) if by_angle.any() else ()):
+    if by_angle.any():
+        of_sides, of_mean, owner = views_of_sides(tables, material, attributes, by_angle, threads)
+        here = np.zeros(count, np.float32)
+        _add_views(of_mean, owner, np.zeros_like(seen), here)
+    for side in range(2 if by_angle.any() else 0):
         light = np.zeros((count, VIEWS), np.float32)
         for k in range(VIEWS):
-            _add_view(*surfaces[k], k, light)
-        average = np.where(angled, light @ _OVER_VIEWS, mean)
+            _add_view(of_sides[side, k], owner, k, light)
+        average = np.where(angled, light @ _OVER_VIEWS, here)
         known = by_angle & (average > 1e-6)
         whole[known, side] = light[known] / average[known, None] - 1
     probed[angled] = whole[angled]

@@ -52,9 +52,10 @@ def lobe_chances(tables: MaterialTables, material: np.ndarray, attributes: np.nd
         for surfaces, owner in known:
             _add_lobes(surfaces, owner, 0, VIEWS, glossy[side], whole[side])
     if (textured & angled).any():
-        for side, seen in enumerate(views_of_sides(tables, material, attributes, textured & angled, threads)):
-            for k, (surfaces, owner) in enumerate(seen):
-                _add_lobes(surfaces, owner, k, k + 1, glossy[side], whole[side])
+        of_sides, _, owner = views_of_sides(tables, material, attributes, textured & angled, threads)
+        for side in range(2):
+            for k in range(VIEWS):
+                _add_lobes(of_sides[side, k], owner, k, k + 1, glossy[side], whole[side])
     share = np.divide(glossy, whole, out=np.zeros_like(glossy), where=whole > 0).transpose(1, 0, 2)  # (M, 2, VIEWS)
     followed = (tables.flags & GLOSSY_LOBE > 0)[:, None] & (share.max(axis=-1) > SOME)
     chances = np.where(followed[..., None], np.maximum(share, LEAST_CHANCE), np.float32(0))

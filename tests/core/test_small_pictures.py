@@ -101,10 +101,11 @@ def test_glossy_walls_lose_no_light(method):
     walls = arrays.geometry(*arrays.box((-1, -1, -1), (1, 1, 1)))
     scene = arrays.scene(walls, arrays.glossy_materials((d, 1.0), albedo=g, roughness=0.5), camera=rooms.view(size=SIZE))
     settings = replace(SETTINGS, method=method, vpls=64, direct_samples=8, reflections=8)
-    layers = render(scene, settings).layers
+    pictures = [render(scene, replace(settings, seed=seed)).layers for seed in range(3)]  # one deviates by 7 to 10 %
+    irradiance, glossy = (np.mean([layers[name] for layers in pictures]) for name in ("Irradiance", "GlossyIndirect"))
     terms = [(d + g) * d**m / (1 - g) ** (m + 1) for m in range(settings.bounces + 1)]
-    assert layers["Irradiance"].mean() == pytest.approx(np.pi * sum(terms[: settings.bounces]), rel=0.15)
-    assert layers["GlossyIndirect"].mean() == pytest.approx(g * sum(terms), rel=0.15)
+    assert irradiance == pytest.approx(np.pi * sum(terms[: settings.bounces]), rel=0.15)
+    assert glossy == pytest.approx(g * sum(terms), rel=0.15)
 
 
 @pytest.mark.parametrize("way", ["shadow rays", "fuzzy clusters", "sampled"])
