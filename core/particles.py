@@ -106,6 +106,7 @@ class Vpls(NamedTuple):
     `THROUGH` where other light was reflected by a glossy lobe, else 0.
     sharpness: (M,) float32, b of a light that shines with (1 + b) c / (1 + b (1 - c^2))^2 instead of the cosine c.
     lobe: (M, LOBE) float32, row of `surfaces.lobes` of what such a light stands for, whose `ALPHA` is below 0 where it is none (`by_lobe`).
+    seen: (M,) float32, the visible share of what it sends to the view, 1 where that is not known.
     """
 
     position: np.ndarray
@@ -119,10 +120,11 @@ class Vpls(NamedTuple):
     shine: np.ndarray
     sharpness: np.ndarray
     lobe: np.ndarray
+    seen: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> Vpls:
-        """Room for n lights, not set."""
+        """Room for n lights, not set, of which nothing is known to be hidden."""
         f, e = np.float32, np.empty
         return Vpls(
             e((n, 3), f),
@@ -134,6 +136,7 @@ class Vpls(NamedTuple):
             e(n, np.uint8),
             e(n, f),
             e((n, LOBE), f),
+            np.ones(n, f),
         )
 
     def take(self, index) -> Vpls:

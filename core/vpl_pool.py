@@ -37,7 +37,7 @@ RAYS_EACH = 8  # shadow rays that tell how much of the view a light reaches
 DEFENSIVE = 0.2  # share of the density by flux alone: no light that could matter is impossible
 SEQUENCE_TRIES = 4
 SEQUENCE_OCTAVES = 6  # at most 2^6 particles a light of `vpl_sequence`
-UNSEEN = 0.02  # visible share of a light that none of its rays saw
+UNSEEN = np.float32(0.02)  # visible share of a light that none of its rays saw
 
 
 @kernel
@@ -113,19 +113,18 @@ def view_subset(points: ShadingPoints, count: int, seed: int) -> ShadingPoints:
 
 
 def contributions(scene: Transport, vpls: Vpls, subset: ShadingPoints, g_max: float, seed: int, threads: int = 0) -> tuple[np.ndarray, int]:
-    """What each VPL gives to the points of `subset`, roughly: unshadowed light times the visible share (M,); rays traced."""
+    """What each VPL gives to the points of `subset`, roughly: unshadowed light times the visible share (M,), which becomes its `seen`; rays traced."""
     m = len(vpls.bounce)
     weights = np.ones(len(subset.pixel), np.float32)
     reach = np.empty(m, np.float32)
-    seen = np.empty(m, np.float32)
 
     lights, points = Reference(vpls), Reference(subset)
 
     def work(begin, end):
-        return _contributions(scene, lights, begin, end, points, weights, np.float32(g_max), RAYS_EACH, np.uint32(seed), reach, seen)
+        return _contributions(scene, lights, begin, end, points, weights, np.float32(g_max), RAYS_EACH, np.uint32(seed), reach, vpls.seen)
 
     rays = sum(run_chunks(work, m, 512, threads))
-    return reach.astype(np.float64) * (seen + UNSEEN), rays
+    return reach.astype(np.float64) * (vpls.seen + UNSEEN), rays
 
 
 def resample(vpls: Vpls, importance: np.ndarray, count: int, seed: int) -> Vpls:

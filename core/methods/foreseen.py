@@ -26,10 +26,10 @@ _0 = np.float32(0.0)
 
 
 @leaf
-def light_up(lights, chosen, px, py, pz, nx, ny, nz, gx, gy, gz, g_max, f, blocks):
+def light_up(lights, chosen, px, py, pz, nx, ny, nz, gx, gy, gz, g_max, by_chance, f, blocks):
     """What each light of a subset gives a point unshadowed into f (K,), its sums by blocks; the sum of all.
 
-    lights: (S, 9, K), as `light_table` has them.
+    lights: (S, 10, K), as `light_table` has them.  by_chance: whether each is weighed by the last row.
     """
     for k in range(len(f)):
         dx, dy, dz = lights[chosen, 0, k] - px, lights[chosen, 1, k] - py, lights[chosen, 2, k] - pz
@@ -38,7 +38,8 @@ def light_up(lights, chosen, px, py, pz, nx, ny, nz, gx, gy, gz, g_max, f, block
         at_point = min(nx * dx + ny * dy + nz * dz, LARGE * (gx * dx + gy * dy + gz * dz))
         at_light = -(lights[chosen, 3, k] * dx + lights[chosen, 4, k] * dy + lights[chosen, 5, k] * dz)
         spread = r2 + lights[chosen, 7, k] * (r2 - at_light * at_light)
-        f[k] = min(g_max * lights[chosen, 8, k], lights[chosen, 6, k] * max(_0, at_point) * max(_0, at_light) / (spread * spread))
+        light = min(g_max * lights[chosen, 8, k], lights[chosen, 6, k] * max(_0, at_point) * max(_0, at_light) / (spread * spread))
+        f[k] = light * lights[chosen, 9, k] if by_chance else light
     total = _0
     for block in range(len(blocks)):
         part = _0
@@ -58,7 +59,7 @@ def _expected(points, lights, visible, ambient, width, begin, end, g_max, out):
     for k in range(begin, end):
         light_up(
             lights, 0, points.position[k, 0], points.position[k, 1], points.position[k, 2],
-            points.ns[k, 0], points.ns[k, 1], points.ns[k, 2], points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], g_max, f, blocks,
+            points.ns[k, 0], points.ns[k, 1], points.ns[k, 2], points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], g_max, False, f, blocks,
         )  # fmt: skip
         y, x = points.pixel[k] // width, points.pixel[k] % width
         fy = min(max((np.float32(y) + np.float32(0.5)) / np.float32(TILE) - np.float32(0.5), _0), np.float32(rows - 1))
@@ -79,7 +80,7 @@ def foreseen(
 ) -> np.ndarray:  # fmt: skip
     """Irradiance (N,) float32, W/m^2, grey, of points of a picture of `shape` (height, width), without noise to speak of.
 
-    lights: (S, 9, K), of which the first subset is summed.  sights: (N, R) uint8, what each point's shadow rays found; blocks: (N, R) uint8,
+    lights: (S, 10, K), of which the first subset is summed.  sights: (N, R) uint8, what each point's shadow rays found; blocks: (N, R) uint8,
     the lights' blocks.  gathered: (N,), what the gather rays found.
     """
     if not len(points.pixel):
@@ -102,7 +103,7 @@ def foreseen(
         visible = (found + PRIOR * tiles[:, None]) / (rays + PRIOR) * len(lights)
     out = np.empty(len(points.pixel), np.float32)
     ambient, visible = ambient.astype(np.float32).reshape(rows, columns), visible.astype(np.float32).reshape(rows, columns, parts)
-    lights = lights if parts else np.zeros((1, 9, 0), np.float32)
+    lights = lights if parts else np.zeros((1, 10, 0), np.float32)
     near = np.float32(g_max / len(lights))  # a light stands for many: where it is close it must not give as much as all of them
     run_chunks(lambda begin, end: _expected(points, lights, visible, ambient, width, begin, end, near, out), len(out), CHUNK, threads)
     return out + np.float32(EVEN * out.mean())

@@ -56,7 +56,7 @@ from ..surfaces.visibility import OUTSIDE, encloses, evaluate_along, nearest_sur
 from ..threads import Progress, part, run_chunks
 from ..transport import Transport, is_translucent
 from ..view.points import ShadingPoints, is_transmitting, shares
-from ..vpl_pool import BATCH_SEED, MOST_BATCHES, Particles, vpl_pool
+from ..vpl_pool import BATCH_SEED, MOST_BATCHES, UNSEEN, Particles, vpl_pool
 from .caustics import Caustics, add_caustics, by_lobes
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
@@ -364,7 +364,7 @@ def _trace_lights(scene, packet, rows, surface, cutouts, by_view, points, vpls, 
             )  # fmt: skip
             if not is_ahead(vpls, j, points.position[k, 0], points.position[k, 1], points.position[k, 2]):
                 r = g = b = _0
-        w = value[lane] * np.float32(3.0) / (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2])
+        w = value[lane] * np.float32(3.0) / (picked(vpls.seen[j]) * (vpls.flux[j, 0] + vpls.flux[j, 1] + vpls.flux[j, 2]))
         if _is_first_diffuse(vpls, j):
             w *= _1 + at_view(by_view, vpls.side[j], _cosine_at(vpls, j, points, k))
         else:
@@ -417,6 +417,13 @@ def _reflect_light(points, vpls, k, j, lobe, near, seen):
 
 
 @inlined
+def picked(seen):
+    """How much likelier than by what it gives unshadowed a light is picked of which a share is `seen`: the variance of what arrives by chance is least
+    where rays go by the root of how often they do."""
+    return np.float32(math.sqrt(seen + UNSEEN))
+
+
+@inlined
 def looks_of(samples, subsets):
     """At how many subsets of the lights a point of so many shadow rays looks."""
     return min(max(1, samples // PICKS), subsets)
@@ -426,7 +433,7 @@ def looks_of(samples, subsets):
 def _sample_lights(
     scene, points, vpls, lights, counts, begin, end, first, g_max, cutouts, by_view, near, cell, seed, reflections, out, shown, sights, parts
 ):  # fmt: skip
-    """Adds to the points begin..end-1 the light of `counts` (N,) VPLs each, picked by what they give unshadowed; the shadow rays traced.
+    """Adds to the points begin..end-1 the light of `counts` (N,) VPLs each, picked by what they give unshadowed and `picked`; the shadow rays traced.
 
     Each point looks at a few of the subsets of `lights` (S, 9, K), drawn by a hash.  sights, parts: (N, R), what its rays find, and in
     which of a subset's blocks the light lies.
@@ -467,7 +474,7 @@ def _sample_lights_leaf(
             chosen = np.int64((start + np.float32(look) / np.float32(looks)) * np.float32(subsets)) % subsets
             total = light_up(
                 lights, chosen, points.position[k, 0], points.position[k, 1], points.position[k, 2],
-                points.ns[k, 0], points.ns[k, 1], points.ns[k, 2], points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], g_max, f, blocks,
+                points.ns[k, 0], points.ns[k, 1], points.ns[k, 2], points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], g_max, True, f, blocks,
             )  # fmt: skip
             if not total > _0:
                 continue
@@ -523,18 +530,25 @@ def _telling(direct: np.ndarray) -> float:
 
 
 def light_table(vpls: Vpls, subsets: int) -> np.ndarray:
-    """The lights by subsets, (S, 9, K) float32; zeros fill whole blocks.
+    """The lights by subsets, (S, 10, K) float32; zeros fill whole blocks.
 
-    Rows: position, normal, power times (1 + sharpness) / pi, sharpness, and power / pi times 1 + sharpness, of which no more than `BRIGHTEST`
-    counts, where the clamp of the geometry term decides.
+    Rows: position, normal, power times (1 + sharpness) / pi, sharpness, power / pi times 1 + sharpness, of which no more than `BRIGHTEST`
+    counts, where the clamp of the geometry term decides, and `picked`.
 
     Every subset takes each so-manyth light, so that where neighbours follow each other all subsets look alike.
     """
-    lights = np.zeros((subsets, 9, -(-len(vpls.bounce) // (subsets * BLOCK)) * BLOCK), np.float32)
+    lights = np.zeros((subsets, 10, -(-len(vpls.bounce) // (subsets * BLOCK)) * BLOCK), np.float32)
     for k in range(subsets):
         part = vpls.take(slice(k, None, subsets))
         power, sharp = part.flux.mean(axis=1) * _INV_PI, _1 + part.sharpness
-        rows = [part.position.T, part.normal.T, [sharp * power], [part.sharpness], [np.minimum(sharp, BRIGHTEST) * power]]
+        rows = [
+            part.position.T,
+            part.normal.T,
+            [sharp * power],
+            [part.sharpness],
+            [np.minimum(sharp, BRIGHTEST) * power],
+            [np.sqrt(part.seen + UNSEEN)],
+        ]
         lights[k, :, : len(part.bounce)] = np.vstack(rows)
     return lights
 

@@ -31,6 +31,7 @@ def lights(n, seed=0, make=room):
         np.zeros(n, np.uint8),
         np.zeros(n, np.float32),
         np.full((n, LOBE), -1, np.float32),
+        np.ones(n, np.float32),
     )
 
 

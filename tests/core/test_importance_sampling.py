@@ -342,6 +342,34 @@ def test_only_what_comes_straight_from_lamps_is_reflected_by_sharp_lights(build)
     assert (vpls.bounce > 1).any() and vpls.sharpness[vpls.bounce > 1].max() == 0
 
 
+def test_lights_that_the_view_hardly_sees_are_picked_less(build):
+    """A room lit from the next one through a gap: by what lights give unshadowed most shadow rays go to those behind the wall."""
+    walls = build.box((-2, -1, 0), (2, 1, 2))
+    partition = build.quads([(0, -1, 0), (0, 0.8, 0), (0, 0.8, 2), (0, -1, 2)])
+    rooms = build.geometry(np.concatenate([walls[0], partition[0]]), np.concatenate([walls[1], partition[1] + len(walls[0])]))
+    scene = build.scene(
+        rooms, build.materials((0.7, 0.0)), lamps=build.lamps(build.lamp(sc.POINT, 50.0, position=(-1.5, -0.5, 1.5), radius=0.1))
+    )
+    x, y = np.meshgrid(np.linspace(0.3, 1.9, 12), np.linspace(-0.9, 0.9, 12))
+    points = points_at(np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1), (0, 0, 1), error=1e-6)
+    runs = {}
+    with RayScene(rooms.vertices, rooms.triangles) as rays:
+        tables = transport(rooms, scene.materials.tables, rays.tables, build_emitters(scene))
+        solver = ImportanceSampling(samples=8, gather=0, seed=1, threads=1)
+        solver.cache_light(tables, points, paths=4000)
+        solver.prepare(tables, points, 512)
+        assert solver.vpls.seen.min() < 0.2 < solver.vpls.seen.max()
+        for known in (True, False):
+            if not known:
+                solver.vpls.seen[:] = 1
+                solver.lights = light_table(solver.vpls, len(solver.lights))
+            runs[known] = np.stack([solver.irradiance(points, first=8 * turn).mean(axis=1) for turn in range(64)])
+    mean = {known: light.mean() for known, light in runs.items()}
+    variance = {known: light.var(axis=0, ddof=1).mean() for known, light in runs.items()}
+    assert mean[True] == pytest.approx(float(mean[False]), rel=0.02)
+    assert variance[True] < 0.6 * variance[False]
+
+
 def test_no_sharp_light_is_a_spot(build):
     """Close to it, a light that shines as a narrow lobe gives no more than eight times what the clamp leaves of one that does not."""
     vpls = Vpls.allocate(2)
