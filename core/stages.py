@@ -20,7 +20,7 @@ from .lamps.links import is_linked
 from .methods.area_shadows import area_lamps, direct_by_soft_maps
 from .methods.caustics import add_caustics, bends_light, by_lenses
 from .methods.fuzzy_clustering import FuzzyClustering
-from .methods.glossy import Reflections, has_lobes, reflect
+from .methods.glossy import Reflections, has_lobes, lamps_by_rays, reflect
 from .methods.importance_sampling import ImportanceSampling, cache_paths
 from .methods.instant_radiosity import InstantRadiosity, clamp_of
 from .methods.probes import trace_probes
@@ -224,6 +224,11 @@ def direct_stage(
             shine, by_glass, rays = found
             light = light._replace(glossy=light.glossy + shine, glossy_by_glass=light.glossy_by_glass + by_glass, shine=shine)
             run.rays["shadow"] += rays
+        if lobes and settings.reflections > 0:
+            backs = lamps_by_rays(tables, points)
+            for shown in (light.glossy, light.glossy_by_glass, light.shine):
+                if shown is not None:
+                    shown[backs] = 0
         if settings.bounces > 0 and bends_light(tables):
             # The cache's emitters are aimed at what is seen.
             sources = tables._replace(emitters=sampler.emitters) if sampler and tables is every else tables

@@ -61,6 +61,7 @@ from ..surfaces.visibility import OUTSIDE
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
+from ..view.tile import PERFECT
 from .light_cache import LightCache, add_known, find_cell, more_by_view, no_cache, take_lobes
 from .tails import path_light, tail_light
 from .wide_lobes import (
@@ -435,6 +436,23 @@ def has_lobes(points: ShadingPoints) -> bool:
     return bool((points.f90 > NEGLIGIBLE).any() or (points.f0 > NEGLIGIBLE).any())
 
 
+def lamps_by_rays(scene: Transport, points: ShadingPoints) -> np.ndarray:
+    """(N,) bool, of which points rays from the lobe alone find the lamps: backs of clear glass that a view has come to, bent, from within.
+
+    What they mirror leaves by the front, which bends it, too.  A shadow ray would go straight, and the lamp show where it is not.
+    """
+    backs = np.zeros(len(points.pixel), bool)
+    if not (scene.materials.flags & REFRACTIVE).any():
+        return backs
+    clear = points.behind_glass.astype(bool) & (points.entered == 0) & (points.roughness <= PERFECT)
+    chosen = np.flatnonzero(clear & (points.f90 > NEGLIGIBLE).any(axis=1))
+    triangle = points.triangle[chosen]
+    chosen = chosen[scene.materials.flags[scene.material[triangle]] & REFRACTIVE != 0]
+    a, b, c = (scene.vertices[scene.triangles[points.triangle[chosen], k]] for k in range(3))
+    backs[chosen] = np.einsum("ij,ij->i", np.cross(b - a, c - a), points.ng[chosen]) < 0
+    return backs
+
+
 def _add(out: np.ndarray, owner: np.ndarray, radiance: np.ndarray) -> None:
     for c in range(out.shape[1]):
         out[:, c] += np.bincount(owner, radiance[:, c], len(out))
@@ -474,6 +492,7 @@ def reflect(
     n = len(points.position)
     direct, indirect, albedo = scene.emitters.no_light(n), scene.emitters.no_light(n), np.zeros((n, 3), np.float32)
     sharp = points.roughness < _SHARP
+    lamps = np.where(lamps_by_rays(scene, points), WHOLE, SHARED).astype(np.uint8)
     cache = no_cache() if cache is None else cache
     shared = no_sharing(n) if shared is None else shared
     total = 0
@@ -482,9 +501,9 @@ def reflect(
         part = ShadingPoints(*(a[block] for a in points))
         key = (seed ^ _SEED) + begin & 0xFFFFFFFF
         owner = np.arange(len(part.pixel), dtype=np.int32)
-        shown, known, guide, diffuse, mirrors, sure, (more, further), lamps, rays = _draw(
+        shown, known, guide, diffuse, mirrors, sure, (more, further), lit_by, rays = _draw(
             scene, cache, near, bounces, part, owner, samples, reflections, False, key, threads, first, sharp[block].view(np.uint8),
-            shared._replace(gather=shared.gather[block]), np.zeros(0, np.uint8), np.ones(len(owner), np.uint8),
+            shared._replace(gather=shared.gather[block]), np.zeros(0, np.uint8), lamps[block],
         )  # fmt: skip
         direct[block], indirect[block], albedo[block] = shown, known, guide
         total += rays
@@ -496,13 +515,13 @@ def reflect(
             light, rays = direct_light(scene, mirrors, 1, key, threads, reflections=1)
             shown, known, guide, diffuse, seen, surely, (more, beyond), beyond_lamps, drawn = _draw(
                 scene, cache, near, bounces, mirrors, mirrors.pixel, 1, 1, depth >= _SURE, key, threads, 0, sure,
-                no_sharing(len(mirrors.pixel)), further, lamps,
+                no_sharing(len(mirrors.pixel)), further, lit_by,
             )  # fmt: skip
             _add(albedo[block], mirrors.pixel, guide)
-            _add(indirect[block], mirrors.pixel, (lamps == SHARED)[:, None] * (light.glossy + light.glossy_by_glass) + shown + known)
+            _add(indirect[block], mirrors.pixel, (lit_by == SHARED)[:, None] * (light.glossy + light.glossy_by_glass) + shown + known)
             lit.append(diffuse)
             deeper.append(more)
-            mirrors, sure, further, lamps = seen, surely, beyond, beyond_lamps
+            mirrors, sure, further, lit_by = seen, surely, beyond, beyond_lamps
             total += rays + drawn
         hits = ShadingPoints.concatenate(lit)
         light = tail_light(scene, hits, bounces, key, threads, cache, near, further=np.concatenate(deeper))

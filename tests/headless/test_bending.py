@@ -108,3 +108,22 @@ def test_glossy_surfaces_show_what_glass_bends():
     a, b, mine = (picture.reshape(4, 4, 4, 4, 3).mean(axis=(1, 3)) for picture in (*(layers["GlossyIndirect"] for layers in halves), ours))
     assert np.mean(mine) == pytest.approx(float(np.mean(a) + np.mean(b)) / 2, rel=0.04)
     assert net_relmse(mine, a, b) < 0.03
+
+
+def test_lamps_show_in_both_sides_of_a_pane_at_one_place():
+    """What its back mirrors is bent by its front again: found by straight rays, the lamp showed there elsewhere, as a white dot."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    glass = material("Glass", Transmission_Weight=1.0, Roughness=0.0, IOR=1.5, Base_Color=(1, 1, 1, 1))
+    slab(scene, -0.02, 0, -2, 2, -2, 2, glass)
+    lamp(scene, "POINT", (3, 0, -3), (0, 0, 0), energy=100.0, shadow_soft_size=0.3)
+    look(scene, (3, 0, 3), (0, math.radians(45), 0), type="ORTHO", ortho_scale=1.0)
+    layers = render(extract_scene(scene, size=(24, 24)), RenderSettings(pixel_samples=16, denoise=False)).layers
+    within = math.asin(math.sin(math.pi / 4) / 1.5)
+    across, along = (
+        math.sin(math.pi / 4 - within) / math.sin(math.pi / 4 + within),
+        math.tan(math.pi / 4 - within) / math.tan(math.pi / 4 + within),
+    )
+    mirrored = (across**2 + along**2) / 2
+    assert layers["Direct"].sum() > 0
+    assert layers["GlossyIndirect"].sum() / layers["Direct"].sum() == pytest.approx((1 - mirrored) ** 2, rel=0.08)
