@@ -6,8 +6,9 @@ diffuse or its glossy lobe to the next one, or through it where it is translucen
 
 To Cycles diffuse transmission is no diffuse bounce, so that as many of those may follow as after a glossy reflection.
 
-A lobe shows the lamps' light blurred where it is narrow, and bounded: a path that finds a small lamp in it by chance would be all noise.  Spread over
-the hemisphere, as cells have it, it would be far too bright to what lies along the surface, as a polished box to its floor.  Where virtual
+A lobe shows the lamps' light blurred where it is narrow, and bounded: a path that finds a small lamp in it by chance would be all noise.  Of an even sky,
+that would be a half of what a polished wall throws on the floor at its foot: there the ray that is drawn from the lobe finds the world, the more the less it is
+concentrated.  Spread over the hemisphere, as cells have it, it would be far too bright to what lies along the surface, as a polished box to its floor.  Where virtual
 lights stand for that light, which know its direction, it is left to them.
 """
 
@@ -17,7 +18,9 @@ import numpy as np
 
 from ..jit import kernel, leaf
 from ..lamps.direct import direct_sample_at
-from ..lamps.tables import GLOSSY_ONLY, SEEN_BY_GLOSSY
+from ..lamps.lookup import share_of
+from ..lamps.tables import GLOSSY_ONLY, SEEN_BY_GLOSSY, WORLD
+from ..lamps.world import world_density, world_radiance
 from ..particles import MAX_ADJOINT
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
@@ -59,6 +62,7 @@ BLUR = np.float32(0.35)  # least roughness of a lobe that shows the lamps
 # Times what a diffuse lobe of its albedo sends, at most: of a blurred lobe that is the peak when looked at straight.  Along the surface it goes to the
 # hundreds, and one path in a million with it: 7 % of the light of a living room in one pixel.  Of a lamp low over a rough floor a quarter is lost.
 PEAK = np.float32(16.0)
+_LEAST = np.float32(1e-20)  # density
 _MORE_SURFACES = 8  # that a path may meet beyond its diffuse bounces, by glossy reflections
 
 # Dimensions of the hash for one vertex of a path.
@@ -80,8 +84,12 @@ def scatter_light(
     What comes from below the facet, where no particle lands, or nearly along it, where their weight is bounded, goes to `beneath`, times `aside`.
     glass: (N, 3 G) float32, where `apart`: the part of all that which came by way of glass.
 
-    Returns (dx, dy, dz, wr, wg, wb, kinds): the ray's direction, its weight and its kind, 0 where there is none.
+    Returns (dx, dy, dz, wr, wg, wb, kinds, beyond): the ray's direction, its weight and its kind, 0 where there is none, and the share of the world's
+    light along it that is left to it (multiple importance sampling; the blurred lobe's density stands for that of the ray, which may be narrower).
     """
+    emitters = scene.emitters
+    shining = len(emitters.source)
+    world = towards and shining < len(emitters.kind) and emitters.kind[shining] == WORLD and emitters.flags[shining] & SEEN_BY_GLOSSY
     cosine = lobe_cosine(sx, sy, sz, gx, gy, gz, wx, wy, wz)
     dr, dg, db = diffuse_albedo(surface, cosine)
     tr, tg, tb = translucency(surface, cosine)
@@ -131,9 +139,12 @@ def scatter_light(
                 lg = max(lg - eg * dip * ggx.edge(f0g, f90g - f0g), _0)
                 lb = max(lb - eb * dip * ggx.edge(f0b, f90b - f0b), _0)
             if turned:
-                lr, lg, lb, _ = lobe_value(lobe, dx, dy, dz)
-                most = PEAK * lobe[ALBEDO] / (_PI * max(lr, lg, lb, np.float32(1e-20)))
-                each = kept * min(_1 / max(cosine, np.float32(1e-4)), most)
+                lr, lg, lb, density = lobe_value(lobe, dx, dy, dz)
+                each = kept / max(cosine, np.float32(1e-4))
+                if e == shining and world:  # the share bounds it, too
+                    each *= share_of(max(world_density(emitters.world, sx, sy, sz, dx, dy, dz), _LEAST), density)
+                else:
+                    each = min(each, kept * PEAK * lobe[ALBEDO] / (_PI * max(lr, lg, lb, np.float32(1e-20))))
                 lr, lg, lb = each * lr, each * lg, each * lb
             fr, fg, fb = fr * lr, fg * lg, fb * lb
             if sheened != _0:
@@ -172,13 +183,18 @@ def scatter_light(
     through = _THIRD * (tr + tg + tb)
     whole = glossy + dull + through
     if not whole > _0:
-        return sx, sy, sz, _0, _0, _0, 0
+        return sx, sy, sz, _0, _0, _0, 0, _0
     chance = glossy / whole
     u1, u2 = uniform(seed, path, at, 6), uniform(seed, path, at, 7)
-    kinds = GLOSSY
+    kinds, beyond = GLOSSY, _0
     pick = uniform(seed, path, at, 4)
     if pick < chance:
         dx, dy, dz, r, g, b, _ = sample_above(lobe, gx, gy, gz, goes_past(scene, on, tilt), u1, u2)
+        if world and max(r, g, b) > _0:
+            if roughness < BLUR:
+                set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, BLUR, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
+            _, _, _, density = lobe_value(lobe, dx, dy, dz)
+            beyond = share_of(max(density, _LEAST), world_density(emitters.world, sx, sy, sz, dx, dy, dz))
     elif through > _0 and pick * whole < glossy + through:
         gx, gy, gz = -gx, -gy, -gz
         lx, ly, lz = cosine_hemisphere(u1, u2)
@@ -195,7 +211,7 @@ def scatter_light(
         kinds = DIFFUSE
     if not max(r, g, b) > _0 or gx * dx + gy * dy + gz * dz <= _0:
         kinds = 0
-    return dx, dy, dz, r / chance, g / chance, b / chance, kinds
+    return dx, dy, dz, r / chance, g / chance, b / chance, kinds, beyond
 
 
 @leaf
@@ -239,7 +255,7 @@ def path_light(
         first = own if vertex == 0 else _1
         shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1
-        dx, dy, dz, tr, tg, tb, kinds = scatter_light(
+        dx, dy, dz, tr, tg, tb, kinds, beyond = scatter_light(
             scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, np.int64(first > _0), left > 0,
             True, seed, path, at, out, out, out, out, False, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
         )  # fmt: skip
@@ -252,19 +268,28 @@ def path_light(
         wr, wg, wb = wr * tr, wg * tg, wb * tb
         if vertex == 0 and kinds == GLOSSY:  # lights carry none of what lobes reflect of other surfaces, but all that comes through
             wr, wg, wb = whole * wr, whole * wg, whole * wb
+            beyond *= sheen / max(whole, np.float32(1e-6))
             last = _1
         elif kinds == DIFFUSE and left == 0:
             wr, wg, wb = last * wr, last * wg, last * wb
         if vertex > 0:  # russian roulette by what the path still carries
+            beyond *= mirrored
             go_on = min(np.float32(0.95), max(wr, wg, wb))
             if uniform(seed, path, at, 5) >= go_on:
                 break
             wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-        triangle, u, v, t, r, g, b, _, entered = nearest_surface(
+        triangle, u, v, t, r, g, b, clear, entered = nearest_surface(
             scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), kinds, seed, path, at + 8, entered
         )
         if triangle < 0:
+            if beyond > _0:
+                counted = _PI * beyond * (_1 if left > 0 else clear)
+                c = 3 * scene.emitters.light_group[len(scene.emitters.source)]
+                er, eg, eb = world_radiance(scene.emitters.world, dx, dy, dz)
+                out[i, c] += counted * kr * wr * r * er
+                out[i, c + 1] += counted * kg * wg * g * eg
+                out[i, c + 2] += counted * kb * wb * b * eb
             break
         on = triangle
         wr, wg, wb = wr * r, wg * g, wb * b

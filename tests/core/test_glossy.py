@@ -13,6 +13,7 @@ from lumigate.core.lamps.lookup import can_be_met, emitter_density, lamp_along
 from lumigate.core.lamps.sample import sample_emitter
 from lumigate.core.lamps.tables import WORLD
 from lumigate.core.methods.glossy import has_lobes, reflect
+from lumigate.core.methods.tails import tail_light
 from lumigate.core.pipeline import render
 from lumigate.core.rays import RayScene
 from lumigate.core.settings import RenderSettings
@@ -459,3 +460,13 @@ def test_a_black_tint_takes_all_light_at_82_degrees():
     *_, r, g, b, _ = sample_lobe(row, F(0.3), F(0.3))
     schlick = 0.6 + 0.4 * (6 / 7) ** 5
     assert (r, g, b) == pytest.approx((0, 0.5 * schlick, schlick), abs=2e-3)
+
+
+@pytest.mark.parametrize(("roughness", "cosine"), [(0.3, 0.03), (0.3, 0.2), (0.1, 0.1), (0.6, 0.1), (0.3, 0.9)])
+def test_paths_find_all_of_an_even_sky_in_lobes_along_the_surface(roughness, cosine):
+    """What a polished wall throws on the floor at its foot: up to a half of it was lost to the bound of what shadow rays find."""
+    points = points_at(20000, roughness, cosine, f0=0.04)
+    light = tail_light(Set(world=1.0).tables, points, 1, 3)[:, 0]
+    mean, error = mean_and_error(light)
+    assert mean == pytest.approx(math.pi * float(lobe_of(roughness, cosine, 0.04, 1)[ALBEDO]), rel=0.1, abs=4 * error)
+    assert light.max() < 40 * mean
