@@ -203,10 +203,15 @@ def reflected(surface, lobe, sx, sy, sz, gx, gy, gz, dx, dy, dz, u1, u2):
 
 @leaf
 def _axis(lobe, sharpest, gx, gy, gz):
-    """Axis and sharpness, `sharpest` at most, of a light about as wide as a lobe (row of `surfaces.lobes`), on the side g of its surface."""
-    alpha = lobe[ALPHA]
-    nx, ny, nz = lobe[NORMAL], lobe[NORMAL + 1], lobe[NORMAL + 2]
-    vx, vy, vz = lobe[VIEWER], lobe[VIEWER + 1], lobe[VIEWER + 2]
+    """`_axis_of` a row of `surfaces.lobes`."""
+    return _axis_of(
+        lobe[ALPHA], lobe[NORMAL], lobe[NORMAL + 1], lobe[NORMAL + 2], lobe[VIEWER], lobe[VIEWER + 1], lobe[VIEWER + 2], sharpest, gx, gy, gz
+    )  # fmt: skip
+
+
+@leaf
+def _axis_of(alpha, nx, ny, nz, vx, vy, vz, sharpest, gx, gy, gz):
+    """Axis and sharpness, `sharpest` at most, of a light about as wide as a lobe about the normal n for light from v, on the side g of its surface."""
     cosine = nx * vx + ny * vy + nz * vz
     # Low light is reflected as widely as other light up and down, but less to the sides, by its cosine; this is as wide in the mean.
     sharp = min(sharpest, np.float32(2.0) * _AS_WIDE / max(alpha * alpha * (_1 + cosine * cosine), np.float32(1e-12)))
@@ -250,6 +255,30 @@ def by_lobe(vpls, j, x, y, z):
     light = (_1 - ROUND) * _uncut(gx, gy, gz, ax, ay, az, sharp) * (_1 + sharp) * cosine / (spread * spread) + ROUND * cos_g
     r, g, b, _ = lobe_value(vpls.lobe[j], dx, dy, dz)
     return _PI * _THIRD * (r + g + b) * min(MAX_ADJOINT, cos_g / cos_s) / (vpls.lobe[j, ALBEDO] * light)
+
+
+@leaf
+def carried_by_lights(alpha, nx, ny, nz, vx, vy, vz, gx, gy, gz, dx, dy, dz, reach):
+    """The part that lights, as `by_lobe` has them, carry of what a lobe about the normal n, on the side g of its surface, reflects from v towards d.
+
+    reach: cosine at the light at which one that is not sharp comes to the clamp of the geometry term.
+    """
+    ax, ay, az, sharp = _axis_of(max(alpha, BLUR * BLUR), nx, ny, nz, vx, vy, vz, SHARPEST, gx, gy, gz)
+    scale = (_1 - ROUND) * _uncut(gx, gy, gz, ax, ay, az, sharp)
+    cosine, cos_g = max(_0, ax * dx + ay * dy + az * dz), max(_0, gx * dx + gy * dy + gz * dz)
+    spread = _1 + sharp * (_1 - cosine * cosine)
+    along = (_1 + sharp) * cosine / (spread * spread)
+    whole = scale * along + ROUND * cos_g
+    if not whole > _0:
+        return _0
+    return (scale * min(along, min(_1 + sharp, BRIGHTEST) * reach) + ROUND * min(cos_g, reach)) / whole
+
+
+@inlined
+def surely_carried(alpha):
+    """The `reach` from which on `carried_by_lights` is 1."""
+    alpha = max(alpha, BLUR * BLUR)
+    return max(_1, (_1 + min(SHARPEST, np.float32(2.0) * _AS_WIDE / (alpha * alpha))) / BRIGHTEST)
 
 
 @kernel

@@ -21,7 +21,7 @@ from ..jit import inlined, kernel, leaf
 from ..lamps import focus_share, focused
 from ..lamps.direct import set_point_lobe, unevenness
 from ..lamps.escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray
-from ..particles import BRIGHTEST, SHINE, THROUGH, Vpls, by_lobe, is_ahead, trace_by_power
+from ..particles import BRIGHTEST, SHINE, THROUGH, Vpls, by_lobe, is_ahead, surely_carried, trace_by_power
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.order import morton_codes
 from ..rays.packet import (
@@ -47,7 +47,7 @@ from ..sampling.hashing import hash_combine, uniform
 from ..scene import DIFFUSE, EMISSIVE, METAL, TRANSPARENT
 from ..surfaces.by_view import at_view, views
 from ..surfaces.following import lobe_chances
-from ..surfaces.layout import SURFACE, take_lobe
+from ..surfaces.layout import ROUGHNESS, SURFACE, take_lobe
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
@@ -251,8 +251,8 @@ def _gathered(
         cell = find_cell(
             cache, x, y, z, gx, gy, gz, surface_side(scene.materials, scene.material[triangle], behind), uniform(seed, path, 3, 0), uniform(seed, path, 3, 1)
         )  # fmt: skip
-        own = whole = _1
-        sheen = cache.shine
+        own = whole = reach = _1
+        sheen, relied = cache.shine, _0
         more = _0
         lobe_only = False
         if len(cache.radiosity) > bounces:
@@ -287,19 +287,21 @@ def _gathered(
                 # What its lobe reflects is not looked up, for it has a direction.
                 lobe_only = True
                 wr, wg, wb = wr / chance, wg / chance, wb / chance
-                sheen, more = cache.shine * (_1 - cache.trust[cell] * clamped), _0
-                own = _1 if sheen > _0 else _0
+                sheen, more = cache.shine, _0
             else:
                 share = clamped * cache.share[cell]
                 rest = max(_1 - cache.later * share, np.float32(1e-6))
                 wr, wg, wb = wr * rest, wg * rest, wb * rest
-                own, sheen, whole = (_1 - share) / rest, cache.shine * (_1 - cache.trust[cell] * clamped) / rest, _1 / rest
+                own, sheen, whole = (_1 - share) / rest, cache.shine / rest, _1 / rest
+            relied, reach = cache.trust[cell], g_max * t * t / max(cos_x, np.float32(1e-20))
         if veiled and encloses(scene.materials.flags[scene.material[triangle]], behind):
             sheen = _0
         if not veiled:
             evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
         if lobe_only:
             take_lobe(surface)
+            if not sheen > _0 or (relied >= _1 and reach >= surely_carried(surface[ROUGHNESS] * surface[ROUGHNESS])):
+                own = sheen = _0
         sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
         sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
         if sx * gx + sy * gy + sz * gz < 0:
@@ -308,7 +310,7 @@ def _gathered(
         last = whole if further else _1
         path_light(
             scene, single, rows, surface, lobe, cache, near, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered,
-            bounces + np.int64(further), True, seed, path, out, k, wr, wg, wb, own, sheen, whole, last,
+            bounces + np.int64(further), True, seed, path, out, k, wr, wg, wb, own, sheen, whole, last, relied, reach,
         )  # fmt: skip
 
 

@@ -122,7 +122,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, points
         mirrored = _0 if encloses(scene.materials.flags[scene.material[triangle]], behind) else _1
         tx, ty, tz, r, g, b, kinds, _ = scatter_light(
             scene, packet, rows, surface, lobe, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered, LAMP_RAYS, True, False, seed, path, at,
-            probes.direct, probes.shine, probes.beneath, probes.glass, True, probe, _1, _1, _1, mirrored, _1,
+            probes.direct, probes.shine, probes.beneath, probes.glass, True, probe, _1, _1, _1, mirrored, _1, _0, _1,
         )  # fmt: skip
         rays += LAMP_RAYS
         probes.carry[probe, 0], probes.carry[probe, 1], probes.carry[probe, 2] = r, g, b

@@ -21,7 +21,7 @@ from ..lamps.direct import direct_sample_at
 from ..lamps.lookup import share_of
 from ..lamps.tables import GLOSSY_ONLY, SEEN_BY_GLOSSY, WORLD
 from ..lamps.world import world_density, world_radiance
-from ..particles import MAX_ADJOINT
+from ..particles import MAX_ADJOINT, carried_by_lights
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
 from ..references import Reference
@@ -72,7 +72,7 @@ DIMENSIONS = 100
 @leaf
 def scatter_light(
     scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, lamp_rays, diffuse, towards, seed, path, at,
-    out, shine, beneath, glass, apart, i, kr, kg, kb, sheen, aside,
+    out, shine, beneath, glass, apart, i, kr, kg, kb, sheen, aside, relied, reach,
 ):  # fmt: skip
     """What a surface sends towards w at first hand, and a ray that finds the rest.
 
@@ -83,6 +83,7 @@ def scatter_light(
     comes through, to that of `out`, of the glossy one, times `sheen`, to that of `shine`.
     What comes from below the facet, where no particle lands, or nearly along it, where their weight is bounded, goes to `beneath`, times `aside`.
     glass: (N, 3 G) float32, where `apart`: the part of all that which came by way of glass.
+    relied: how far lights carry what the lobe reflects of the lamps, reach: as of `carried_by_lights`.
 
     Returns (dx, dy, dz, wr, wg, wb, kinds, beyond): the ray's direction, its weight and its kind, 0 where there is none, and the share of the world's
     light along it that is left to it (multiple importance sampling; the blurred lobe's density stands for that of the ray, which may be narrower).
@@ -146,6 +147,9 @@ def scatter_light(
                 else:
                     each = min(each, kept * PEAK * lobe[ALBEDO] / (_PI * max(lr, lg, lb, np.float32(1e-20))))
                 lr, lg, lb = each * lr, each * lg, each * lb
+            rest = sheen
+            if relied > _0 and turned:
+                rest *= _1 - relied * carried_by_lights(roughness * roughness, sx, sy, sz, dx, dy, dz, gx, gy, gz, wx, wy, wz, reach)
             fr, fg, fb = fr * lr, fg * lg, fb * lb
             if sheened != _0:
                 more = lit_from(sheened, cosine) - _1
@@ -153,13 +157,13 @@ def scatter_light(
             else:
                 r, g, b = lit * r * dr, lit * g * dg, lit * b * db
             if across > _0:
-                shine[i, c] += sheen * fr
-                shine[i, c + 1] += sheen * fg
-                shine[i, c + 2] += sheen * fb
+                shine[i, c] += rest * fr
+                shine[i, c + 1] += rest * fg
+                shine[i, c + 2] += rest * fb
                 if apart and clear < _1:
-                    glass[i, c] += (_1 - clear) * sheen * fr
-                    glass[i, c + 1] += (_1 - clear) * sheen * fg
-                    glass[i, c + 2] += (_1 - clear) * sheen * fb
+                    glass[i, c] += (_1 - clear) * rest * fr
+                    glass[i, c + 1] += (_1 - clear) * rest * fg
+                    glass[i, c + 2] += (_1 - clear) * rest * fb
             else:
                 r, g, b = r + fr, g + fg, b + fb
         landing = min(_1, MAX_ADJOINT * max(_0, across) / max(cosine, np.float32(1e-4)))
@@ -195,6 +199,8 @@ def scatter_light(
                 set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, BLUR, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
             _, _, _, density = lobe_value(lobe, dx, dy, dz)
             beyond = share_of(max(density, _LEAST), world_density(emitters.world, sx, sy, sz, dx, dy, dz))
+            if relied > _0:
+                beyond *= _1 - relied * carried_by_lights(roughness * roughness, sx, sy, sz, dx, dy, dz, gx, gy, gz, wx, wy, wz, reach)
     elif through > _0 and pick * whole < glossy + through:
         gx, gy, gz = -gx, -gy, -gz
         lx, ly, lz = cosine_hemisphere(u1, u2)
@@ -232,7 +238,7 @@ def _add_gain(scene, surface, cache, on, x, y, z, gx, gy, gz, cosine, seed, path
 @leaf
 def path_light(
     scene, packet, rows, surface, lobe, cache, near, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, bounces, follows, seed, path,
-    out, i, kr, kg, kb, own, sheen, whole, last,
+    out, i, kr, kg, kb, own, sheen, whole, last, relied, reach,
 ):  # fmt: skip
     """Adds one sample of pi times the radiance that a surface sends towards w, weighed by k, to row i of `out`.
 
@@ -241,7 +247,7 @@ def path_light(
     The arguments as in `scatter_light`.  bounces: diffuse reflections at most; the first one after a lamp counts even if it
     is glossy.  follows: whether metal is not looked up.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
     own: how much of the lamps' light that the first surface reflects counts, 0 for no shadow ray, sheen: of that which it reflects as a glossy one,
-    whole: of that which comes from below its facet.  last: of all light that has left as many surfaces as it may.
+    whole: of that which comes from below its facet.  last: of all light that has left as many surfaces as it may.  relied, reach: of the first surface.
     out: (N, 3 G) float32 W/m^2, three columns for each light group.
     """
     wr = wg = wb = _1
@@ -255,9 +261,11 @@ def path_light(
         first = own if vertex == 0 else _1
         shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1
+        carried = relied if vertex == 0 else _0
         dx, dy, dz, tr, tg, tb, kinds, beyond = scatter_light(
             scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, np.int64(first > _0), left > 0,
             True, seed, path, at, out, out, out, out, False, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
+            carried, reach,
         )  # fmt: skip
         if kinds == 0:
             break
@@ -342,7 +350,7 @@ def _tail_chunk(scene, cache, near, points, further, begin, end, bounces, seed, 
             scene, packet, rows, surface, lobe, cache, near, points.triangle[i], points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
             points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], np.int64(points.entered[i]), most, False, seed, np.uint32(i),
-            out, i, weight, weight, weight, _1, _1, _1, _1,
+            out, i, weight, weight, weight, _1, _1, _1, _1, _0, _1,
         )  # fmt: skip
 
 

@@ -10,11 +10,23 @@ from lumigate.core.methods.importance_sampling import ImportanceSampling, light_
 from lumigate.core.methods.light_cache import DEPTH, GLOSSY_LINK, Probes, build_light_cache, look_up, no_cache
 from lumigate.core.methods.partition import strengths, trusted
 from lumigate.core.methods.probes import trace_probes
-from lumigate.core.particles import BLUR, ROUND, SHARPEST, SHINE, Vpls, _axis, by_lobe, trace_by_power, trace_particles
+from lumigate.core.particles import (
+    BLUR,
+    ROUND,
+    SHARPEST,
+    SHINE,
+    Vpls,
+    _axis,
+    by_lobe,
+    carried_by_lights,
+    surely_carried,
+    trace_by_power,
+    trace_particles,
+)
 from lumigate.core.pipeline import render
 from lumigate.core.rays import RayScene
 from lumigate.core.settings import RenderSettings
-from lumigate.core.surfaces.layout import TRANSPARENCY
+from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, ROUGHNESS, TRANSPARENCY
 from lumigate.core.surfaces.lobes import ALBEDO, ALPHA, LOBE, NORMAL, VIEWER, lobe_value
 from lumigate.core.threads import Cancelled
 from lumigate.core.transport import transport
@@ -412,6 +424,62 @@ def test_lights_of_a_glossy_floor_together_are_its_lobe(build, roughness, slant)
         shone += share * len(lights.flux) * light * [by_lobe(lights, j, *place) for place in at]
     exact = np.array([lobe_value(lobe, *d)[0] for d in out]) / lobe[ALBEDO]
     np.testing.assert_allclose(shone, leaving * exact, rtol=0.03, atol=0.03 * leaving * exact.mean())
+
+
+@pytest.mark.parametrize("slant", [0.2, 1.0, 1.4])
+@pytest.mark.parametrize("roughness", [0.1, 0.3, 0.6, 1.0])
+def test_rays_know_what_lights_of_a_lobe_carry_to_where_they_are_clamped(build, roughness, slant):
+    """As `light_table` has the lights: sharp ones come to the clamp along the surface, too, where the surface's own cosine is small."""
+    way = np.array([np.sin(slant), 0, -np.cos(slant)])
+    axes = np.stack([np.cross((0, 1, 0), -way), (0, 1, 0), -way])
+    floor = build.geometry(*build.quads([(-0.1, -0.1, 0), (0.1, -0.1, 0), (0.1, 0.1, 0), (-0.1, 0.1, 0)]))
+    materials = build.glossy_materials((0.0, 0.0), albedo=0.8, roughness=roughness)
+    scene = build.scene(floor, materials, lamps=build.lamps(build.lamp(sc.SUN, 2.0, axes=axes, angle=1e-4)))
+    with RayScene(floor.vertices, floor.triangles) as rays:
+        lights, _ = trace_by_power(transport(floor, materials.tables, rays.tables, build_emitters(scene)), 4096, 1, seed=1)
+    every = np.flatnonzero(lights.sharpness == 0)[0], np.flatnonzero(lights.sharpness > 0)[0]
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        out = rng.normal(size=3) * (1, 1, 0.3)
+        out *= np.sign(out[2]) / np.linalg.norm(out)
+        at, reach = 100 * out, np.exp(rng.uniform(-4, 3))
+        given = np.zeros(2)
+        for share, j in zip((ROUND, 1 - ROUND), every):
+            away = lights.position[j] + at
+            table = light_table(lights.take([j]), 1)[0, :, 0]
+            for k, clamp in enumerate((1e9, reach / (at @ at))):
+                cosine = max(0, float(out @ lights.normal[j]))
+                spread = 1 + table[7] * (1 - cosine**2)
+                given[k] += share * by_lobe(lights, j, *away) * min(clamp * table[8], table[6] * cosine / spread**2 / (at @ at))
+        if given[0] > 0:
+            found = carried_by_lights(np.float32(roughness**2), *np.float32([0, 0, 1, *-way, 0, 0, 1, *out, reach]))
+            assert found == pytest.approx(given[1] / given[0], rel=0.01, abs=1e-3)
+            assert reach < surely_carried(np.float32(roughness**2)) or found == pytest.approx(1, abs=1e-4)
+
+
+def test_floor_at_the_foot_of_a_polished_wall_gets_what_the_wall_throws(build, monkeypatch):
+    """Of an even sky, without photons.  A quarter of it was neither the lights', which are clamped there, nor the gather rays'."""
+    floor, wall = [(-8, -8, 0), (8, -8, 0), (8, 8, 0), (-8, 8, 0)], [(-4, 0, 0), (4, 0, 0), (4, 0, 1), (-4, 0, 1)]
+    quads = build.geometry(*build.quads(floor, wall), material=np.repeat([0, 1], 2))
+    materials = build.materials((0.8, 0.0), (0.15, 0.0))
+    polished = materials.tables.constant[1]
+    polished[GLOSSY_F0 : GLOSSY_F0 + 3], polished[GLOSSY_F90 : GLOSSY_F90 + 3], polished[ROUGHNESS] = 0.04, 1.0, 0.3
+    materials.tables.flags[1] |= sc.GLOSSY_LOBE
+    scene = build.scene(quads, materials, world=(1, 1, 1))
+    at = np.random.default_rng(2).uniform((-1, -0.5, 0), (1, -0.02, 0), (512, 3)).astype(np.float32)
+    points = points_at(at, np.float32([[0, 0, 1]]), error=1e-6)
+    monkeypatch.setattr("lumigate.core.methods.importance_sampling.by_lobes", lambda *_: (None, 0))
+    light = []
+    with RayScene(quads.vertices, quads.triangles) as rays:
+        tables = transport(quads, materials.tables, rays.tables, build_emitters(scene))
+        for paths, samples, gather in ((40000, 32, 32), (1000, 0, 512)):
+            solver = ImportanceSampling(samples=samples, gather=gather, bounces=1, seed=3)
+            solver.cache_light(tables, points, paths=paths)
+            solver.prepare(tables, points, 1024)
+            if not samples:
+                solver.cache, solver.near = no_cache(), np.float32(np.inf)
+            light.append(solver.irradiance(points).mean())
+    assert light[0] == pytest.approx(light[1], rel=0.04)
 
 
 def test_empty_scenes_have_an_empty_cache(room):
