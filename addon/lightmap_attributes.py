@@ -55,15 +55,20 @@ def bake_attributes(
     return warnings
 
 
-def prepare_attributes(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], settings: BakeSettings) -> PreparedAttributes:
-    """Read the scene, and check that every object can hold its light; raises SceneError where one cannot, and why."""
+def prepare_attributes(
+    scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], settings: BakeSettings, view_layer: str | None = None
+) -> PreparedAttributes:
+    """Read the scene, and check that every object can hold its light; raises SceneError where one cannot, and why.
+
+    view_layer: whose objects are lit; else the first one that is used for rendering.
+    """
     for ob in objects:
         if ob.data.users > 1:
             raise SceneError(f"'{ob.name}' shares its mesh with other objects, and a mesh holds one light: make it single-user")
         there = ob.data.color_attributes.get(ATTRIBUTE)
         if there is not None and (there.data_type, there.domain) != ("FLOAT_COLOR", "CORNER"):
             raise SceneError(f"'{ob.name}' has a colour attribute '{ATTRIBUTE}' of another kind: rename or remove it")
-    arrays = extract_scene(scene, lightmaps={ob.name: _EVERY_MESH_HAS for ob in objects})
+    arrays = extract_scene(scene, view_layer=view_layer, lightmaps={ob.name: _EVERY_MESH_HAS for ob in objects})
     rows = triangles_by_object(arrays.geometry)
     for ob in objects:
         ob.data.calc_loop_triangles()

@@ -13,7 +13,8 @@ import numpy as np
 from ..core.errors import SceneError
 from .job import Job, computing
 from .lightmap_materials import original_of, set_up, take_down
-from .operators import JobOperator
+from .operators import JobOperator, NoRender
+from .preserved import kept_render_result
 
 if TYPE_CHECKING:
     from ..core.lightmaps import Lightmap
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 _PREFIX = "Lightmap "
 
 
-class BakeLightmaps(JobOperator, bpy.types.Operator):
+class BakeLightmaps(NoRender, JobOperator, bpy.types.Operator):
     """Bake the light on the surfaces of objects into images; missing UV maps are made beside those that are there"""
 
     bl_idname = "lumigate.bake_lightmaps"
@@ -35,10 +36,14 @@ class BakeLightmaps(JobOperator, bpy.types.Operator):
         """Make UV maps, read the scene, and start to bake."""
         from .lightmaps import prepare
 
-        objects = _chosen(self, context.scene)
+        objects = _chosen(self, context)
         if not objects:
             return None
-        self._scene, self._prepared = context.scene, prepare(context.scene, objects, request_of(context.scene, objects))
+        settings = context.scene.lumigate_lightmaps
+        if not settings.packed:  # before the work, which would be lost
+            _folder(settings.folder)
+        with kept_render_result():
+            self._scene, self._prepared = context.scene, prepare(context.scene, objects, request_of(context, objects))
         return computing(self._prepared.run)
 
     def abandon(self) -> None:
@@ -56,7 +61,7 @@ class BakeLightmaps(JobOperator, bpy.types.Operator):
         self.report({"INFO"}, f"{count} lightmap{'s' * (count > 1)}: {result.stats['seconds_total']:.1f} s")
 
 
-class BakeAttributes(JobOperator, bpy.types.Operator):
+class BakeAttributes(NoRender, JobOperator, bpy.types.Operator):
     """Bake the light at the corners of faces into the colour attribute 'Lightmap' of the chosen objects' meshes"""
 
     bl_idname = "lumigate.bake_attributes"
@@ -67,10 +72,12 @@ class BakeAttributes(JobOperator, bpy.types.Operator):
         """Read the scene, and start to bake."""
         from .lightmap_attributes import prepare_attributes
 
-        objects = _chosen(self, context.scene)
+        objects = _chosen(self, context)
         if not objects:
             return None
-        self._prepared = prepare_attributes(context.scene, objects, request_of(context.scene, objects).bake)
+        with kept_render_result():
+            bake = request_of(context, objects).bake
+            self._prepared = prepare_attributes(context.scene, objects, bake, context.view_layer.name)
         return computing(self._prepared.run)
 
     def finish(self, context: bpy.types.Context) -> None:
@@ -97,34 +104,39 @@ class RestoreMaterials(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _chosen(operator: bpy.types.Operator, scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    objects = chosen_objects(scene)
+def _chosen(operator: bpy.types.Operator, context: bpy.types.Context) -> list[bpy.types.Object]:
+    objects = chosen_objects(context.scene, context.view_layer)
     if not objects:
         operator.report({"INFO"}, "No object has changed since its last bake")
     return objects
 
 
-def chosen_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+def chosen_objects(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = None) -> list[bpy.types.Object]:
     """The objects that the scene's settings ask for; SceneError as `lightmaps.choose_objects`."""
     from .lightmaps import choose_objects
 
     settings = scene.lumigate_lightmaps
-    objects = choose_objects(scene, selected=settings.objects == "SELECTED")
-    return [ob for ob in objects if settings.objects != "CHANGED" or ob.lumigate_lightmap.stamp != stamp_of(ob)]
+    objects = choose_objects(scene, selected=settings.objects == "SELECTED", view_layer=view_layer)
+    if settings.objects != "CHANGED":
+        return objects
+    changed = [ob for ob in objects if ob.lumigate_lightmap.stamp != stamp_of(ob)]
+    # An atlas is laid out anew, and the others lie in it, too.
+    return objects if changed and settings.atlas else changed
 
 
-def request_of(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> LightmapRequest:
-    """The request that the settings of the scene and its objects make."""
+def request_of(context: bpy.types.Context, objects: list[bpy.types.Object]) -> LightmapRequest:
+    """The request that the settings of the scene and its objects make, for the view layer that the window shows."""
     from .lightmaps import LightmapRequest
 
-    settings = scene.lumigate_lightmaps
+    settings = context.scene.lumigate_lightmaps
     return LightmapRequest(
-        bake=settings.bake_settings(scene.lumigate.as_settings()),
+        bake=settings.bake_settings(context.scene.lumigate.as_settings()),
         unwrap=settings.unwrapping(),
         size=settings.size,
         density=settings.density if settings.use_density else None,
         densities={ob.name: ob.lumigate_lightmap.density for ob in objects if ob.lumigate_lightmap.density > 0},
         atlas=settings.atlas,
+        view_layer=context.view_layer.name,
     )
 
 
@@ -171,8 +183,10 @@ def _folder(chosen: str) -> Path:
     folder = Path(bpy.path.abspath(chosen))
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):  # only the attempt tells
+            pass
     except OSError as error:
-        raise SceneError(f"cannot make the folder '{folder}' ({error.strerror}): choose another one for the lightmaps") from error
+        raise SceneError(f"cannot write into the folder '{folder}' ({error.strerror}): choose another one for the lightmaps") from error
     return folder
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import bpy
@@ -31,7 +31,7 @@ class LightmapRequest:
 
     size: texels along a side of each image.  density: texels a metre, which then decides the size of each image; densities: of
     single objects, by name.
-    atlas: one image for all objects; else one each.
+    atlas: one image for all objects; else one each.  view_layer: whose objects are lit; else the first one that is used for rendering.
     """
 
     bake: BakeSettings = field(default_factory=BakeSettings)
@@ -40,6 +40,7 @@ class LightmapRequest:
     density: float | None = None
     densities: Mapping[str, float] = field(default_factory=dict)
     atlas: bool = False
+    view_layer: str | None = None
 
 
 @dataclass(frozen=True)
@@ -56,20 +57,36 @@ class SceneLightmaps:
     made: list[bpy.types.Mesh]
 
 
-def choose_objects(scene: bpy.types.Scene, names: Sequence[str] | None = None, *, selected: bool = False) -> list[bpy.types.Object]:
-    """The mesh objects to bake, by name: those named, or those selected, or all that a render shows.
+def choose_objects(
+    scene: bpy.types.Scene, names: Sequence[str] | None = None, *, selected: bool = False, view_layer: bpy.types.ViewLayer | None = None
+) -> list[bpy.types.Object]:
+    """The mesh objects to bake, by name: those named, or those selected, or all that a render of the view layer shows.
+
+    view_layer: else the first one that is used for rendering.
 
     Raises:
         SceneError: a name that is not there or no mesh with faces, or nothing is left.
     """
     if names is not None:
         return [_named(scene, name) for name in dict.fromkeys(names)]
-    there = [ob for ob in scene.objects if ob.type == "MESH" and len(ob.data.polygons) and not ob.hide_render]
-    chosen = [ob for ob in there if ob.select_get(view_layer=scene.view_layers[0])] if selected else there
+    layer = view_layer or next((layer for layer in scene.view_layers if layer.use), scene.view_layers[0])
+    rendered = dict.fromkeys(_rendered(layer.layer_collection))
+    there = [ob for ob in rendered if ob.type == "MESH" and len(ob.data.polygons) and not ob.hide_render]
+    chosen = [ob for ob in there if ob.select_get(view_layer=layer)] if selected else there
     if not chosen:
         reason = "no mesh object is selected: select some in Blender and save the file, or name them" if selected else "it has no meshes"
         raise SceneError(f"scene '{scene.name}': there is nothing to bake, {reason}")
     return sorted(chosen, key=lambda ob: ob.name)
+
+
+def _rendered(at: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
+    """The objects of a collection and those below it that are neither excluded nor disabled in renders."""
+    if at.collection.hide_render:
+        return
+    if not at.exclude:
+        yield from at.collection.objects
+    for child in at.children:
+        yield from _rendered(child)
 
 
 def _named(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
@@ -139,7 +156,7 @@ def _prepared(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], reque
     unwrapped = time.perf_counter() - begin
     with CompileTimer() as compiling:
         begin = time.perf_counter()
-        arrays = extract_scene(scene, lightmaps={ob.name: layer for ob in objects})
+        arrays = extract_scene(scene, view_layer=request.view_layer, lightmaps={ob.name: layer for ob in objects})
         found = triangles_by_object(arrays.geometry)
         _check_found(objects, found, layer)
         if request.atlas:

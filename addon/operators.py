@@ -83,7 +83,7 @@ class JobOperator:
         self._begun = True
         try:
             self._job = JobOperator.running = self.begin(context) or nothing()
-        except SceneError as error:
+        except Exception as error:  # raised at the end, when the progress bar is gone
             self._job = failed(error)
             return True
         return False
@@ -102,6 +102,9 @@ class JobOperator:
             self.abandon()
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        except Exception:
+            self.abandon()
+            raise
         return {"FINISHED"}
 
     def abandon(self) -> None:
@@ -139,19 +142,28 @@ def _extracted(context: bpy.types.Context):
     return arrays, time.perf_counter() - begin
 
 
-class NeedsCamera:
-    """For operators that look through the scene's camera."""
+class NoRender:
+    """For operators that evaluate the scene as a render sees it, which is a render to Blender."""
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """A camera is needed, and no render under way: the scene is evaluated by one."""
-        if context.scene.camera is None:
-            cls.poll_message_set("The scene has no camera")
-            return False
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        """No render may be under way."""
         if bpy.app.is_job_running("RENDER"):
             cls.poll_message_set("A render is running")
             return False
         return True
+
+
+class NeedsCamera(NoRender):
+    """For operators that look through the scene's camera."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A camera is needed."""
+        if context.scene.camera is None:
+            cls.poll_message_set("The scene has no camera")
+            return False
+        return super().poll(context)
 
 
 class AddIndirectLight(NeedsCamera, JobOperator, bpy.types.Operator):

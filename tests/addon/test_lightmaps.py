@@ -325,3 +325,57 @@ def test_attributes_are_refused_where_a_mesh_is_shared_or_modified(scene):
     with pytest.raises(SceneError, match="'Floor' has other faces"):
         bake_attributes(scene, [scene.objects["Floor"]], QUICK)
     assert not scene.objects["Floor"].data.color_attributes
+
+
+def test_all_leaves_out_what_collections_hide_from_the_render(scene):
+    # "All" refused the whole scene for one object in an excluded collection.
+    for name, ob in (("Excluded", "Box"), ("Disabled", "Other box")):
+        collection = bpy.data.collections.new(name)
+        scene.collection.children.link(collection)
+        collection.objects.link(scene.objects[ob])
+        scene.collection.objects.unlink(scene.objects[ob])
+    scene.view_layers[0].layer_collection.children["Excluded"].exclude = True
+    bpy.data.collections["Disabled"].hide_render = True
+    assert [ob.name for ob in choose_objects(scene)] == ["Floor"]
+
+
+def test_selection_is_that_of_the_view_layer(registered, scene):
+    quick(scene).objects = "SELECTED"
+    second = scene.view_layers.new("Second")
+    for layer, name in ((scene.view_layers[0], "Floor"), (second, "Box")):
+        for ob in layer.objects:
+            ob.select_set(ob.name == name, view_layer=layer)
+    assert [ob.name for ob in chosen_objects(scene, second)] == ["Box"]
+
+
+def test_one_changed_object_takes_the_whole_atlas_along(registered, scene):
+    # The atlas is replaced: an object that was left out of it showed the light of others.
+    settings = quick(scene)
+    settings.atlas, settings.objects = True, "CHANGED"
+    assert len(chosen_objects(scene)) == 3
+    for ob in scene.objects:
+        if ob.type == "MESH" and ob.name != "Box":
+            ob.lumigate_lightmap.stamp = lightmap_operators.stamp_of(ob)
+    assert [ob.name for ob in chosen_objects(scene)] == ["Box", "Floor", "Other box"]
+
+
+def test_folder_is_looked_at_before_the_work(registered, scene, tmp_path, monkeypatch):
+    settings = quick(scene)
+    (tmp_path / "file").write_text("")
+    settings.packed, settings.folder = False, str(tmp_path / "file" / "maps")
+    monkeypatch.setattr(lightmap_operators, "computing", lambda work: pytest.fail("the bake began"))
+    with pytest.raises(RuntimeError, match="cannot write into the folder"):
+        bpy.ops.lumigate.bake_lightmaps()
+
+
+def test_fault_leaves_no_uv_maps(registered, scene, monkeypatch):
+    quick(scene)
+    meshes = meshes_of(scene)
+
+    def broken(*_):
+        raise ValueError("broken")
+
+    monkeypatch.setattr(lightmap_operators, "load_lightmaps", broken)
+    with pytest.raises(RuntimeError, match="broken"):
+        bpy.ops.lumigate.bake_lightmaps()
+    assert meshes_of(scene) == meshes
