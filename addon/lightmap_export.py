@@ -9,7 +9,7 @@ import bpy
 
 from ..core.errors import SceneError
 from .lightmap_files import write_lightmap
-from .lightmap_materials import set_up, take_down
+from .lightmap_materials import kept_set_up, set_up
 from .lightmaps import SceneLightmaps
 
 
@@ -17,7 +17,7 @@ def export_gltf(scene: bpy.types.Scene, baked: SceneLightmaps, path: Path) -> Pa
     """Write the scene as binary glTF with lightmaps of the content `full`; lamps are left out, for their light is in the maps.
 
     Images have 8 bits with the sRGB curve, brighter ones than 1 by the extension KHR_materials_emissive_strength.  The scene's materials
-    are as before afterwards.
+    are as before afterwards, lightmaps that they show among them.
 
     Raises:
         SceneError: the lightmaps hold something else than `full`, or the exporter fails.
@@ -26,17 +26,18 @@ def export_gltf(scene: bpy.types.Scene, baked: SceneLightmaps, path: Path) -> Pa
     if content != "full":
         raise SceneError(f"glTF shows lightmaps as light of the materials: bake the content 'full', not {content!r}")
     images = []
+    objects = [scene.objects[name] for names in baked.objects.values() for name in names]
     with tempfile.TemporaryDirectory() as folder:
         try:
-            for lightmap in baked.result.lightmaps:
-                written = write_lightmap(Path(folder), lightmap, content, "png")
-                image = bpy.data.images.load(str(Path(folder) / written["file"]))
-                images.append(image)
-                for name in baked.objects[lightmap.name]:
-                    set_up(scene.objects[name], image, baked.layer, content, written["scale"])
-            _export(path)
+            with kept_set_up(objects):
+                for lightmap in baked.result.lightmaps:
+                    written = write_lightmap(Path(folder), lightmap, content, "png")
+                    image = bpy.data.images.load(str(Path(folder) / written["file"]))
+                    images.append(image)
+                    for name in baked.objects[lightmap.name]:
+                        set_up(scene.objects[name], image, baked.layer, content, written["scale"])
+                _export(path)
         finally:
-            take_down(scene.objects)
             for image in images:
                 bpy.data.images.remove(image)
     return path

@@ -20,7 +20,7 @@ def write_lightmap(folder: Path, lightmap: Lightmap, content: str, kind: str) ->
     A value is `scale` times what the file holds, decoded: an EXR is linear with scale 1; a PNG has 8 bits with the sRGB curve, and
     the brightest texel is its white.
     """
-    path = _free_path(folder, lightmap.name, kind)
+    path = free_path(folder, lightmap.name, kind)
     height, width = lightmap.image.shape[:2]
     listed = {"name": lightmap.name, "file": path.name, "size": [width, height]}
     if kind == "exr":
@@ -36,7 +36,7 @@ def png_scale(image: np.ndarray) -> float:
     return float(image.max()) or 1.0
 
 
-def _free_path(folder: Path, name: str, kind: str) -> Path:
+def free_path(folder: Path, name: str, kind: str) -> Path:
     """A path in `folder` that no file has yet, by a name that every system can hold."""
     stem = re.sub(r"[^\w.\- ]", "_", name).strip(" .")[:100] or "lightmap"
     path, number = folder / f"{stem}.{kind}", 1

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 
 import bpy
 
@@ -58,6 +59,35 @@ def take_down(objects: Iterable[bpy.types.Object]) -> int:
     return count
 
 
+@contextmanager
+def kept_set_up(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """Whatever is set up within, afterwards the objects show the lightmaps that they showed before, or none."""
+    before = [(ob, [(slot.link, slot.material) for slot in ob.material_slots], bool(ob.data.get(_ADDED_SLOT))) for ob in objects]
+    copies = {copy for _, slots, _ in before for _, copy in slots if copy is not None and _LINK in copy and not copy.use_fake_user}
+    for copy in copies:
+        copy.use_fake_user = True  # `take_down` removes what nothing uses
+    try:
+        yield
+    finally:
+        take_down(objects)
+        for ob, slots, added in before:
+            if added and not ob.data.get(_ADDED_SLOT):
+                ob.data.materials.append(None)
+                ob.data[_ADDED_SLOT] = True
+            for slot, (link, material) in zip(ob.material_slots, slots):
+                if material in copies:
+                    slot.link, slot.material = link, material
+        for copy in copies:
+            copy.use_fake_user = False
+
+
+def is_shown_by_others(image: bpy.types.Image, objects: Iterable[bpy.types.Object]) -> bool:
+    """Whether an object that is none of these has been set up with the image."""
+    slots = (slot for ob in set(bpy.data.objects).difference(objects) for slot in ob.material_slots)
+    made = (slot.material for slot in slots if slot.material is not None and _LINK in slot.material)
+    return any(node.type == "TEX_IMAGE" and node.image == image for material in made for node in material.node_tree.nodes)
+
+
 def original_of(material: bpy.types.Material | None) -> bpy.types.Material | None:
     """The material that a slot had before `set_up`."""
     return material if material is None or _LINK not in material else material.get(_ORIGINAL)
@@ -100,17 +130,50 @@ def _shine(tree: bpy.types.NodeTree, image: bpy.types.Image, layer: str, content
 
 
 def _times_color(tree: bpy.types.NodeTree, light: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-    """The light times the surface's colour, as the tree's first node with a base colour has it."""
+    """The light times the colour of the surface that the tree's output shows."""
     product = tree.nodes.new("ShaderNodeVectorMath")
     product.operation = "MULTIPLY"
     tree.links.new(light, product.inputs[0])
-    colors = [
-        socket for node in tree.nodes for socket in node.inputs if socket.name in ("Base Color", "Color") and node.type.startswith("BSDF")
-    ]
-    if not colors:
+    output = tree.get_output_node("ALL")
+    if output is None or not output.inputs["Surface"].is_linked:
         product.inputs[1].default_value = _GREY[:3]
-    elif colors[0].is_linked:
-        tree.links.new(colors[0].links[0].from_socket, product.inputs[1])
     else:
-        product.inputs[1].default_value = colors[0].default_value[:3]
+        _set_color(tree, product.inputs[1], output.inputs["Surface"])
     return product.outputs[0]
+
+
+def _set_color(tree: bpy.types.NodeTree, to: bpy.types.NodeSocket, shader: bpy.types.NodeSocket) -> None:
+    """Let `to` have the colour of the shader that is linked to a socket: mixed and added as shaders are, black where it reflects nothing."""
+    links = tree.links
+    node = shader.links[0].from_node if shader.is_linked else None
+    while node is not None and node.type == "REROUTE":
+        node = node.inputs[0].links[0].from_node if node.inputs[0].is_linked else None
+    if node is not None and node.type == "MIX_SHADER":
+        mix = tree.nodes.new("ShaderNodeMix")
+        mix.data_type = "RGBA"
+        factor, a, b = (
+            next(socket for socket in mix.inputs if socket.identifier == name) for name in ("Factor_Float", "A_Color", "B_Color")
+        )
+        if node.inputs[0].is_linked:
+            links.new(node.inputs[0].links[0].from_socket, factor)
+        else:
+            factor.default_value = node.inputs[0].default_value
+        _set_color(tree, a, node.inputs[1])
+        _set_color(tree, b, node.inputs[2])
+        links.new(next(socket for socket in mix.outputs if socket.identifier == "Result_Color"), to)
+    elif node is not None and node.type == "ADD_SHADER":
+        total = tree.nodes.new("ShaderNodeVectorMath")
+        _set_color(tree, total.inputs[0], node.inputs[0])
+        _set_color(tree, total.inputs[1], node.inputs[1])
+        links.new(total.outputs[0], to)
+    else:
+        colors = []
+        if node is not None and node.type not in ("EMISSION", "BSDF_TRANSPARENT", "HOLDOUT"):
+            colors = [socket for socket in node.inputs if socket.name in ("Base Color", "Color")]
+        if not colors:
+            color = _GREY if node is not None and node.type == "GROUP" else (0, 0, 0, 1)
+            to.default_value = color[: len(to.default_value)]
+        elif colors[0].is_linked:
+            links.new(colors[0].links[0].from_socket, to)
+        else:
+            to.default_value = tuple(colors[0].default_value)[: len(to.default_value)]

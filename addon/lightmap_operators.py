@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.errors import SceneError
 from .job import Job, computing
-from .lightmap_materials import original_of, set_up, take_down
+from .lightmap_materials import is_shown_by_others, original_of, set_up, take_down
 from .operators import JobOperator, NoRender
 from .preserved import kept_render_result
 
@@ -43,18 +43,18 @@ class BakeLightmaps(NoRender, JobOperator, bpy.types.Operator):
         if not settings.packed:  # before the work, which would be lost
             _folder(settings.folder)
         with kept_render_result():
-            self._scene, self._prepared = context.scene, prepare(context.scene, objects, request_of(context, objects))
+            self._scene, self._prepared = context.scene.name, prepare(context.scene, objects, request_of(context, objects))
         return computing(self._prepared.run)
 
     def abandon(self) -> None:
         """Meshes and UV maps made for a bake that was not go again."""
         if self._prepared is not None:
-            self._prepared.before.restore(self._scene)
+            self._prepared.before.restore(bpy.data.scenes[self._scene])
 
     def finish(self, context: bpy.types.Context) -> None:
         """Load the images; what was wrong is reported."""
         result = self._job.result.result
-        load_lightmaps(context.scene, self._job.result)
+        load_lightmaps(bpy.data.scenes[self._scene], self._job.result)  # the window may show another one by now
         for warning in result.stats["warnings"]:
             self.report({"WARNING"}, warning)
         count = len(result.lightmaps)
@@ -119,7 +119,7 @@ def chosen_objects(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | Non
     objects = choose_objects(scene, selected=settings.objects == "SELECTED", view_layer=view_layer)
     if settings.objects != "CHANGED":
         return objects
-    changed = [ob for ob in objects if ob.lumigate_lightmap.stamp != stamp_of(ob)]
+    changed = [ob for ob in objects if ob.lumigate_lightmap.stamp != stamp_of(ob, settings)]
     # An atlas is laid out anew, and the others lie in it, too.
     return objects if changed and settings.atlas else changed
 
@@ -145,30 +145,42 @@ def load_lightmaps(scene: bpy.types.Scene, baked: SceneLightmaps) -> list[bpy.ty
     settings = scene.lumigate_lightmaps
     images = []
     for lightmap in baked.result.lightmaps:
-        image, scale = _loaded(lightmap, settings)
+        objects = [scene.objects[name] for name in baked.objects[lightmap.name]]
+        image, scale = _loaded(lightmap, settings, objects)
         images.append(image)
-        for name in baked.objects[lightmap.name]:
-            ob = scene.objects[name]
-            take_down([ob])
-            ob.lumigate_lightmap.stamp = stamp_of(ob)
+        take_down(objects)
+        for ob in objects:
+            ob.lumigate_lightmap.stamp = stamp_of(ob, settings)
             if settings.materials:
                 set_up(ob, image, baked.layer, settings.content, scale)
     return images
 
 
-def _loaded(lightmap: Lightmap, settings: bpy.types.PropertyGroup) -> tuple[bpy.types.Image, float]:
-    """The image `Lightmap <name>` of this file, and what its values are to be multiplied by."""
-    from .lightmap_files import write_lightmap
+def _loaded(lightmap: Lightmap, settings: bpy.types.PropertyGroup, objects: list[bpy.types.Object]) -> tuple[bpy.types.Image, float]:
+    """The image `Lightmap <name>` of this file, for these objects, and what its values are to be multiplied by.
 
-    with tempfile.TemporaryDirectory(dir=bpy.app.tempdir) as temporary:
-        folder = Path(temporary) if settings.packed else _folder(settings.folder)
-        written = write_lightmap(folder, lightmap, settings.content, settings.format)
-        image = bpy.data.images.load(str(folder / written["file"]))
+    One from before makes room, and its file in that folder, too, unless other objects, which this bake left out, still show it: their charts
+    have no place in the new one.
+    """
+    from .lightmap_files import free_path, write_lightmap
+
+    before = bpy.data.images.get(_PREFIX + lightmap.name)
+    if before is not None and is_shown_by_others(before, objects):
+        before.name = f"{_PREFIX}{lightmap.name} before"
+        before = None
+    folder = None if settings.packed else _folder(settings.folder)
+    with tempfile.TemporaryDirectory(dir=folder or bpy.app.tempdir, prefix=".lumigate-") as temporary:
+        written = write_lightmap(Path(temporary), lightmap, settings.content, settings.format)
+        path = Path(temporary) / written["file"]
+        if folder is not None:
+            file = Path(bpy.path.abspath(before.filepath)) if before is not None and before.packed_file is None else path
+            replaces = file.parent.resolve() == folder.resolve() and file.suffix == path.suffix
+            path = path.replace(file if replaces else free_path(folder, lightmap.name, settings.format))
+        image = bpy.data.images.load(str(path))
         if settings.packed:
             image.pack()
         elif bpy.data.filepath:
             image.filepath = bpy.path.relpath(image.filepath)
-    before = bpy.data.images.get(_PREFIX + lightmap.name)
     if before is not None:
         before.user_remap(image)
         bpy.data.images.remove(before)
@@ -190,21 +202,29 @@ def _folder(chosen: str) -> Path:
     return folder
 
 
-def stamp_of(ob: bpy.types.Object) -> str:
-    """A hash of what an object is by itself: mesh, place, materials, size of its lightmap; not of the light around it."""
-    settings = ob.lumigate_lightmap
-    materials = [material.name for slot in ob.material_slots if (material := original_of(slot.material)) is not None]
-    digest = hashlib.sha256(
-        repr((settings.density, materials, [tuple(row) for row in ob.matrix_world], [m.name for m in ob.modifiers])).encode()
-    )
+def stamp_of(ob: bpy.types.Object, settings: bpy.types.PropertyGroup) -> str:
+    """A hash of what an object's lightmap is of: its evaluated mesh and charts, place, materials, content and size; not the light around it."""
+    from .extract.fingerprint import fingerprint
+    from .lightmap_atlas import ATLAS_LAYER
+    from .lightmap_uv import LAYER
+
+    asked = settings.content, settings.size, settings.use_density and settings.density, settings.atlas, ob.lumigate_lightmap.density
+    trees = [original.node_tree for slot in ob.material_slots if (original := original_of(slot.material)) is not None]
+    digest = hashlib.sha256(repr((asked, [tuple(row) for row in ob.matrix_world], [tree and fingerprint(tree) for tree in trees])).encode())
+    evaluated = ob.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    mesh = evaluated.to_mesh()
+    charts = mesh.uv_layers.get(ATLAS_LAYER if settings.atlas else LAYER)
     for values, name, width, dtype in (
-        (ob.data.vertices, "co", 3, np.float32),
-        (ob.data.loops, "vertex_index", 1, np.int32),
-        (ob.data.polygons, "material_index", 1, np.int32),
+        (mesh.vertices, "co", 3, np.float32),
+        (mesh.loops, "vertex_index", 1, np.int32),
+        (mesh.polygons, "material_index", 1, np.int32),
+        (charts.data if charts else (), "uv", 2, np.float32),
     ):
         array = np.empty(len(values) * width, dtype)
-        values.foreach_get(name, array)
+        if len(array):
+            values.foreach_get(name, array)
         digest.update(array.tobytes())
+    evaluated.to_mesh_clear()
     return digest.hexdigest()[:16]
 
 

@@ -8,7 +8,7 @@ import lumigate
 from lumigate.addon import lightmap_operators
 from lumigate.addon.job import computing
 from lumigate.addon.lightmap_atlas import ATLAS_LAYER, placed
-from lumigate.addon.lightmap_materials import set_up, take_down
+from lumigate.addon.lightmap_materials import kept_set_up, set_up, take_down
 from lumigate.addon.lightmap_operators import chosen_objects
 from lumigate.addon.lightmap_uv import LAYER, Unwrap, ensure_uv
 from lumigate.addon.lightmaps import LightmapRequest, bake_scene, choose_objects, prepare
@@ -210,6 +210,53 @@ def test_lightmapped_materials_shine_as_baked(scene):
     assert shader.inputs["Emission Strength"].default_value == pytest.approx(1 / np.pi)
 
 
+def test_lightmapped_mixes_have_the_colour_of_what_the_output_shows(scene):
+    tree = bpy.data.materials["Paint"].node_tree  # whose first node, no longer shown, is (.2, .5, .8)
+    mix, add = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeAddShader")
+    mix.inputs[0].default_value = 0.25
+    for socket, color in ((mix.inputs[1], (0.8, 0.4, 0.0)), (mix.inputs[2], (0.0, 0.4, 0.8))):
+        node = tree.nodes.new("ShaderNodeBsdfDiffuse")
+        node.inputs["Color"].default_value = (*color, 1)
+        tree.links.new(node.outputs[0], socket)
+    tree.links.new(mix.outputs[0], add.inputs[0])
+    tree.links.new(tree.nodes.new("ShaderNodeEmission").outputs[0], add.inputs[1])
+    tree.links.new(add.outputs[0], tree.get_output_node("ALL").inputs["Surface"])
+    set_up(scene.objects["Box"], bpy.data.images.new("Light", 4, 4), LAYER, "irradiance")
+
+    def color_of(socket):
+        if not socket.is_linked:
+            return np.array(socket.default_value[:3])
+        node = socket.links[0].from_node
+        if node.type == "VECT_MATH":
+            assert node.operation == "ADD"
+            return color_of(node.inputs[0]) + color_of(node.inputs[1])
+        factor, a, b = (next(s for s in node.inputs if s.identifier == name) for name in ("Factor_Float", "A_Color", "B_Color"))
+        return (1 - factor.default_value) * color_of(a) + factor.default_value * color_of(b)
+
+    made = scene.objects["Box"].material_slots[0].material.node_tree
+    shader = made.get_output_node("ALL").inputs["Surface"].links[0].from_node
+    product = shader.inputs["Emission Color"].links[0].from_node
+    assert color_of(product.inputs[1]) == pytest.approx((0.6, 0.4, 0.2), abs=1e-6)
+
+
+def test_set_up_materials_outlast_another_set_up(scene):
+    # An export sets up materials of its own, and took down those that were there.
+    image, other = (bpy.data.images.new(name, 4, 4) for name in ("Light", "Other"))
+    original, objects = state_of(scene), choose_objects(scene)
+    for ob in objects:
+        set_up(ob, image, LAYER, "full")
+    before = state_of(scene)
+    with kept_set_up(objects):
+        for ob in objects:
+            set_up(ob, other, LAYER, "full")
+    assert state_of(scene) == before
+    assert take_down(objects) == 3
+    assert state_of(scene) == original
+    with kept_set_up(objects):
+        set_up(objects[0], other, LAYER, "full")
+    assert state_of(scene) == original
+
+
 def quick(scene):
     """Settings for a bake of a moment."""
     settings = scene.lumigate_lightmaps
@@ -272,8 +319,12 @@ def test_cancelled_bake_leaves_the_scene_as_it_was(registered, scene, monkeypatc
 def test_operator_writes_to_disk(registered, scene, tmp_path):
     settings = quick(scene)
     settings.packed, settings.folder, settings.format, settings.atlas, settings.content = False, str(tmp_path / "maps"), "png", True, "full"
-    assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
-    assert [path.name for path in (tmp_path / "maps").iterdir()] == ["Lightmap.png"]
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "Lightmap.png").write_text("another's")
+    for _ in range(2):  # again in the place of the first time, not of a stranger's file
+        assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+        assert sorted(path.name for path in (tmp_path / "maps").iterdir()) == ["Lightmap-2.png", "Lightmap.png"]
+    assert (tmp_path / "maps" / "Lightmap.png").read_text() == "another's"
     image = bpy.data.images["Lightmap Lightmap"]
     assert image.packed_file is None and image.colorspace_settings.name == "sRGB"
 
@@ -355,7 +406,7 @@ def test_one_changed_object_takes_the_whole_atlas_along(registered, scene):
     assert len(chosen_objects(scene)) == 3
     for ob in scene.objects:
         if ob.type == "MESH" and ob.name != "Box":
-            ob.lumigate_lightmap.stamp = lightmap_operators.stamp_of(ob)
+            ob.lumigate_lightmap.stamp = lightmap_operators.stamp_of(ob, settings)
     assert [ob.name for ob in chosen_objects(scene)] == ["Box", "Floor", "Other box"]
 
 
@@ -379,3 +430,58 @@ def test_fault_leaves_no_uv_maps(registered, scene, monkeypatch):
     with pytest.raises(RuntimeError, match="broken"):
         bpy.ops.lumigate.bake_lightmaps()
     assert meshes_of(scene) == meshes
+
+
+def test_objects_that_a_new_atlas_leaves_out_keep_the_old_one(registered, scene):
+    # Their material showed the new atlas, in which their charts lie over others'.
+    settings = quick(scene)
+    settings.atlas, settings.content = True, "full"
+    assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+    settings.objects = "SELECTED"
+    for ob in scene.objects:
+        ob.select_set(ob.name == "Box")
+
+    def shown(name):
+        tree = scene.objects[name].material_slots[0].material.node_tree
+        return next(node for node in tree.nodes if node.type == "TEX_IMAGE").image
+
+    first = shown("Floor")
+    for _ in range(2):
+        assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+        assert shown("Floor") == first == shown("Other box")
+        assert shown("Box") != first and shown("Box").name == "Lightmap Lightmap"
+    assert len([image for image in bpy.data.images if image.name.startswith("Lightmap")]) == 2
+
+
+def test_edits_change_what_is_baked(registered, scene):
+    settings, box = quick(scene), scene.objects["Box"]
+    ensure_uv([box], Unwrap())
+
+    def painted():
+        bpy.data.materials["Paint"].node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.9, 0.5, 0.8, 1)
+
+    def bevelled():
+        box.modifiers.new("Bevel", "BEVEL")
+
+    def wider():
+        box.modifiers["Bevel"].width = 0.2
+
+    def shaped():
+        box.shape_key_add(name="Basis")
+        box.shape_key_add(name="Tall").data[0].co.z += 1
+        box.data.shape_keys.key_blocks["Tall"].value = 0.5
+
+    def moved():
+        box.data.uv_layers[LAYER].data[0].uv.x += 0.01
+
+    def asked():
+        settings.content = "full" if settings.content != "full" else "irradiance"
+
+    stamps = [lightmap_operators.stamp_of(box, settings)]
+    for edit in (painted, bevelled, wider, shaped, moved, asked):
+        assert lightmap_operators.stamp_of(box, settings) == stamps[-1]
+        edit()
+        box.data.update()
+        bpy.context.view_layer.update()
+        stamps.append(lightmap_operators.stamp_of(box, settings))
+    assert len(set(stamps)) == len(stamps)
