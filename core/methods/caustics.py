@@ -52,6 +52,9 @@ FEWEST, MOST = 1 << 14, 1 << 15  # of them in any case
 BY_LOBES = 1 << 17  # wanted of what lobes throw: they cost little, and the noise of what many points share is what a denoiser leaves
 VPLS = 4096  # beside fewer, as in quick pictures, photons are fewer by the same share; by lobes, beside more, more
 MOST_BESIDE = 16  # times as many, at most
+# To fewer points than these, as small pictures have, photons by lobes are fewer, too, by the root of the share, and the least part of them: their noise is
+# spread over fewer pixels, beside more of other kinds.
+MANY_POINTS, FEWEST_BESIDE = 1 << 17, 0.25
 MOST_FLOWN, MOST_BY_LOBES = 1 << 20, 1 << 20  # particles; virtual lights could stand for what lobes throw as well
 NEAREST = 48  # photons among which the light of one is spread that lenses have bent
 FEWEST_NEAREST, PART_NEAREST, MOST_NEAREST = 64, 1 / 256, 256  # the same of what lobes reflect, which is less sharp
@@ -406,7 +409,9 @@ def by_lobes(
     if share < WORTHWHILE:
         return None, 0
     part = min(1.0, max(share / MUCH, LEAST_PART))  # of less light, more noise is as good
-    more = min(vpls / VPLS, MOST_BESIDE)
+    # By powers of two, so that frames of a sequence agree.
+    fewer = 2.0 ** round(0.5 * math.log2(max(len(position), 1) / MANY_POINTS))
+    more = min(vpls / VPLS, MOST_BESIDE) * min(max(fewer, FEWEST_BESIDE), 1.0)
     wanted = part * more * BY_LOBES
     nearest = int(np.clip(PART_NEAREST * wanted, FEWEST_NEAREST, MOST_NEAREST))
     photons, rays = trace_photons(

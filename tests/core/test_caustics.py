@@ -284,3 +284,24 @@ def test_wide_lobes_have_photons_where_these_light_more_than_crumbs(build, leave
         points = np.float32([(-1, -1, 0.2), (1, 1, 1.8)] if leaves else [(-2, -2, 0), (2, 2, 2)])
         found, _ = by_lobes(scene, points, 0.3, 0.0, 4096, 4, seed=1, threads=2)
     assert (found is not None) == photons
+
+
+def test_small_pictures_have_fewer_photons(build):
+    """By powers of two, and no fewer than a quarter; the light is the same."""
+    lamp = build.lamps(build.lamp(sc.POINT, 5.0, position=(0, 0, 1.9), radius=0.1))
+    wall = build.quads([(-2, -2, 2), (-2, 2, 2), (2, 2, 2), (2, -2, 2)])
+    corners = np.float32([(-2, -2, 0), (2, 2, 2)])
+    with ExitStack() as stack:
+        scene = tables_of(
+            build, stack, square(build, 2), wall, lamps=lamp, materials=build.glossy_materials((0.5, 0.5), albedo=0.3, roughness=0.2)
+        )
+        found = [
+            by_lobes(scene, np.tile(corners, (n, 1)), 0.3, 0.0, 4096, 4, seed=1, threads=2)[0].photons
+            for n in (1, 1 << 14, 1 << 16, 1 << 18)
+        ]
+    few, fewer, all_of_them, no_more = (len(photons.group) for photons in found)
+    assert all_of_them == pytest.approx(4 * few, rel=0.05)
+    assert all_of_them == pytest.approx(2 * fewer, rel=0.05)
+    assert all_of_them == no_more
+    light = [float(photons.flux.sum()) for photons in found]
+    assert light == pytest.approx([light[2]] * 4, rel=0.05)
