@@ -21,13 +21,18 @@ def set_up(ob: bpy.types.Object, image: bpy.types.Image, layer: str, content: st
     what the lamps give.  scale: what the image's values are to be multiplied by.  The materials themselves stay as they are: copies
     take their place in the object's slots, until `take_down`.
     """
+    from .materials.compile import uses_nodes  # with Numba, which takes a second to import
+
     take_down([ob])
     if not ob.material_slots:
         ob.data.materials.append(None)
         ob.data[_ADDED_SLOT] = True
     for slot in ob.material_slots:
         original, link = slot.material, slot.link
-        copy = original.copy() if original is not None else _plain_material()
+        copy = original.copy() if original is not None else _plain_material(_GREY)
+        if not uses_nodes(copy):
+            bpy.data.materials.remove(copy)
+            copy = _plain_material(original.diffuse_color)
         copy.name = f"{original.name if original else 'Material'} lightmap {ob.name}"
         if original is not None:
             copy[_ORIGINAL] = original
@@ -37,10 +42,17 @@ def set_up(ob: bpy.types.Object, image: bpy.types.Image, layer: str, content: st
         slot.material = copy
 
 
+def can_wear(ob: bpy.types.Object) -> bool:
+    """Whether an object's slots can be changed here, to stay: not those of one that is linked without an override."""
+    return ob.library is None and (bool(ob.material_slots) or ob.data.library is None)
+
+
 def take_down(objects: Iterable[bpy.types.Object]) -> int:
     """Give the objects' slots their materials from before `set_up`; the number of objects that had been set up."""
     count = 0
     for ob in objects:
+        if ob.library is not None:
+            continue
         copies = [slot.material for slot in ob.material_slots if slot.material is not None and _LINK in slot.material]
         for slot in ob.material_slots:
             copy = slot.material
@@ -93,10 +105,11 @@ def original_of(material: bpy.types.Material | None) -> bpy.types.Material | Non
     return material if material is None or _LINK not in material else material.get(_ORIGINAL)
 
 
-def _plain_material() -> bpy.types.Material:
+def _plain_material(color: Iterable[float]) -> bpy.types.Material:
     material = bpy.data.materials.new("Material")
     if material.node_tree is None:
         material.use_nodes = True
+    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (*tuple(color)[:3], 1.0)
     return material
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,15 +13,18 @@ import numpy as np
 
 from ..core.errors import SceneError
 from .job import Job, computing
-from .lightmap_materials import is_shown_by_others, original_of, set_up, take_down
+from .lasting import by_uid
+from .lightmap_materials import can_wear, is_shown_by_others, original_of, set_up, take_down
 from .operators import JobOperator, NoRender
 from .preserved import kept_render_result
 
 if TYPE_CHECKING:
     from ..core.lightmaps import Lightmap
+    from .lightmap_uv import KeptUvs
     from .lightmaps import LightmapRequest, SceneLightmaps
 
 _PREFIX = "Lightmap "
+_OF = "lumigate_lightmap"  # of an image: the name of what it is the lightmap of, which may be too long for the image's own
 
 
 class BakeLightmaps(NoRender, JobOperator, bpy.types.Operator):
@@ -43,26 +47,27 @@ class BakeLightmaps(NoRender, JobOperator, bpy.types.Operator):
         if not settings.packed:  # before the work, which would be lost
             _folder(settings.folder)
         with kept_render_result():
-            self._scene, self._prepared = context.scene.name, prepare(context.scene, objects, request_of(context, objects))
+            self._prepared = prepare(context.scene, objects, request_of(context, objects))
+        self._order = Order.of(settings, objects)
         return computing(self._prepared.run)
 
     def abandon(self) -> None:
         """Meshes and UV maps made for a bake that was not go again."""
         if self._prepared is not None:
-            self._prepared.before.restore(bpy.data.scenes[self._scene])
+            self._prepared.before.restore()
 
     def finish(self, context: bpy.types.Context) -> None:
         """Load the images; what was wrong is reported."""
         result = self._job.result.result
-        load_lightmaps(bpy.data.scenes[self._scene], self._job.result)  # the window may show another one by now
-        for warning in result.stats["warnings"]:
+        images, left_out = load_lightmaps(self._order, self._job.result, self._prepared.after)
+        for warning in (*result.stats["warnings"], *left_out):
             self.report({"WARNING"}, warning)
-        count = len(result.lightmaps)
-        self.report({"INFO"}, f"{count} lightmap{'s' * (count > 1)}: {result.stats['seconds_total']:.1f} s")
+        count = len(images)
+        self.report({"INFO"}, f"{count} lightmap{'s' * (count != 1)}: {result.stats['seconds_total']:.1f} s")
 
 
 class BakeAttributes(NoRender, JobOperator, bpy.types.Operator):
-    """Bake the light at the corners of faces into the colour attribute 'Lightmap' of the chosen objects' meshes"""
+    """Bake the light at the corners of faces into the colour attribute 'Lightmap Color' of the chosen objects' meshes"""
 
     bl_idname = "lumigate.bake_attributes"
     bl_label = "Bake Colour Attributes"
@@ -83,10 +88,10 @@ class BakeAttributes(NoRender, JobOperator, bpy.types.Operator):
     def finish(self, context: bpy.types.Context) -> None:
         """Store the light; what was wrong is reported."""
         light, lit, warnings = self._job.result
-        self._prepared.write(context.scene, light, lit)
-        for warning in warnings:
+        left_out = self._prepared.write(light, lit)
+        for warning in (*warnings, *left_out):
             self.report({"WARNING"}, warning)
-        count = len(self._prepared.rows)
+        count = len(self._prepared.rows) - len(left_out)
         self.report({"INFO"}, f"{count} colour attribute{'s' * (count != 1)}")
 
 
@@ -140,23 +145,72 @@ def request_of(context: bpy.types.Context, objects: list[bpy.types.Object]) -> L
     )
 
 
-def load_lightmaps(scene: bpy.types.Scene, baked: SceneLightmaps) -> list[bpy.types.Image]:
-    """Write the lightmaps where the scene's settings say, load them, and show them on the objects if asked to."""
-    settings = scene.lumigate_lightmaps
-    images = []
+@dataclass(frozen=True)
+class Order:
+    """What became of a bake was asked when it began: the scene's settings and its objects may be others when it ends.
+
+    folder: None where the images are packed.  uids, stamps: of the objects, by name.
+    """
+
+    content: str
+    format: str
+    folder: Path | None
+    materials: bool
+    uids: dict[str, int]
+    stamps: dict[str, str]
+
+    @staticmethod
+    def of(settings: bpy.types.PropertyGroup, objects: list[bpy.types.Object]) -> Order:
+        """The present settings, and the objects with the UV maps that they are baked on."""
+        return Order(
+            settings.content,
+            settings.format,
+            None if settings.packed else _folder(settings.folder),
+            settings.materials,
+            {ob.name: ob.session_uid for ob in objects},
+            {ob.name: stamp_of(ob, settings) for ob in objects},
+        )
+
+
+def load_lightmaps(order: Order, baked: SceneLightmaps, maps: KeptUvs) -> tuple[list[bpy.types.Image], list[str]]:
+    """Write the lightmaps where they were ordered, load them, and show them on the objects if asked to; warnings of what could not be.
+
+    maps: the UV maps that they were baked on.
+    """
+    images, warnings = [], []
     for lightmap in baked.result.lightmaps:
-        objects = [scene.objects[name] for name in baked.objects[lightmap.name]]
-        image, scale = _loaded(lightmap, settings, objects)
+        there = by_uid(bpy.data.objects)
+        objects = {name: there[order.uids[name]] for name in baked.objects[lightmap.name] if order.uids[name] in there}
+        gone = [name for name in baked.objects[lightmap.name] if name not in objects]
+        warnings += [f"'{name}' has gone since its bake began: its light is left out" for name in gone]
+        if not objects:
+            continue
+        try:
+            image, scale = _loaded(lightmap, order, list(objects.values()))
+        except (SceneError, OSError) as error:
+            if order.folder is None:
+                raise
+            warnings.append(f"{' '.join(str(error).split())}: the lightmaps are packed into the file instead")
+            order = replace(order, folder=None)
+            image, scale = _loaded(lightmap, order, list(objects.values()))
         images.append(image)
-        take_down(objects)
-        for ob in objects:
-            ob.lumigate_lightmap.stamp = stamp_of(ob, settings)
-            if settings.materials:
-                set_up(ob, image, baked.layer, settings.content, scale)
-    return images
+        take_down(objects.values())
+        for name, ob in objects.items():
+            ob.lumigate_lightmap.stamp = order.stamps[name]
+            if not order.materials:
+                continue
+            if not can_wear(ob):
+                warnings.append(
+                    f"'{name}' is linked, and its materials cannot be changed here: make a library override to show its lightmap"
+                )
+            elif not maps.has(ob, baked.layer):
+                warnings.append(f"'{name}' has lost the UV map '{baked.layer}' since its bake began: bake it again to see its lightmap")
+            else:
+                set_up(ob, image, baked.layer, order.content, scale)
+    return images, warnings
 
 
-def _loaded(lightmap: Lightmap, settings: bpy.types.PropertyGroup, objects: list[bpy.types.Object]) -> tuple[bpy.types.Image, float]:
+def _loaded(lightmap: Lightmap, order: Order, objects: list[bpy.types.Object]) -> tuple[bpy.types.Image, float]:
     """The image `Lightmap <name>` of this file, for these objects, and what its values are to be multiplied by.
 
     One from before makes room, and its file in that folder, too, unless other objects, which this bake left out, still show it: their charts
@@ -164,27 +218,27 @@ def _loaded(lightmap: Lightmap, settings: bpy.types.PropertyGroup, objects: list
     """
     from .lightmap_files import free_path, write_lightmap
 
-    before = bpy.data.images.get(_PREFIX + lightmap.name)
+    before = next((image for image in bpy.data.images if image.get(_OF) == lightmap.name and image.library is None), None)
     if before is not None and is_shown_by_others(before, objects):
         before.name = f"{_PREFIX}{lightmap.name} before"
+        del before[_OF]
         before = None
-    folder = None if settings.packed else _folder(settings.folder)
-    with tempfile.TemporaryDirectory(dir=folder or bpy.app.tempdir, prefix=".lumigate-") as temporary:
-        written = write_lightmap(Path(temporary), lightmap, settings.content, settings.format)
+    with tempfile.TemporaryDirectory(dir=order.folder or bpy.app.tempdir, prefix=".lumigate-") as temporary:
+        written = write_lightmap(Path(temporary), lightmap, order.content, order.format)
         path = Path(temporary) / written["file"]
-        if folder is not None:
+        if order.folder is not None:
             file = Path(bpy.path.abspath(before.filepath)) if before is not None and before.packed_file is None else path
-            replaces = file.parent.resolve() == folder.resolve() and file.suffix == path.suffix
-            path = path.replace(file if replaces else free_path(folder, lightmap.name, settings.format))
+            replaces = file.parent.resolve() == order.folder.resolve() and file.suffix == path.suffix
+            path = path.replace(file if replaces else free_path(order.folder, lightmap.name, order.format))
         image = bpy.data.images.load(str(path))
-        if settings.packed:
+        if order.folder is None:
             image.pack()
         elif bpy.data.filepath:
             image.filepath = bpy.path.relpath(image.filepath)
     if before is not None:
         before.user_remap(image)
         bpy.data.images.remove(before)
-    image.name = _PREFIX + lightmap.name
+    image.name, image[_OF] = _PREFIX + lightmap.name, lightmap.name
     return image, written["scale"]
 
 

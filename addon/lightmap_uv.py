@@ -6,10 +6,12 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+import bmesh
 import bpy
 import numpy as np
 
 from ..core.errors import SceneError
+from .lasting import by_uid
 
 LAYER = "Lightmap"
 MOST_LAYERS = 8  # of a mesh, Blender's own limit
@@ -43,34 +45,67 @@ def ensure_uv(objects: Iterable[bpy.types.Object], unwrap: Unwrap) -> list[bpy.t
     for ob in objects:
         if unwrap.layer in ob.data.uv_layers:
             continue
-        _check_editable(ob)
+        check_editable(ob)
+        _check_free(ob)
         set_uv(ob.data, unwrap.layer, _unwrapped(ob, unwrap))
         made.append(ob.data)
     return made
 
 
 class KeptUvs:
-    """The meshes and UV maps that objects have now, by name, for undo may replace what they are; `restore` gives them back."""
+    """The meshes and UV maps that objects have now; `restore` gives them back, whatever has been renamed, undone or edited meanwhile."""
 
     def __init__(self, objects: Iterable[bpy.types.Object]):
-        self._kept = {ob.name: (ob.data.name, {layer.name: _coordinates(layer) for layer in ob.data.uv_layers}) for ob in objects}
+        self._kept = {
+            ob.session_uid: (ob.data.session_uid, {layer.name: _coordinates(layer) for layer in ob.data.uv_layers}) for ob in objects
+        }
 
-    def restore(self, scene: bpy.types.Scene) -> None:
+    def restore(self) -> None:
         """Take new meshes and UV maps away, and give those that were there their coordinates; what has gone since is left out."""
-        for name, (mesh_name, layers) in self._kept.items():
-            ob, mesh = scene.objects.get(name), bpy.data.meshes.get(mesh_name)
+        objects, meshes = by_uid(bpy.data.objects), by_uid(bpy.data.meshes)
+        for uid, (mesh_uid, layers) in self._kept.items():
+            ob, mesh = objects.get(uid), meshes.get(mesh_uid)
             if ob is None or mesh is None:
                 continue
             own = ob.data
-            if own != mesh:
+            if own != mesh and own.is_editmode:
+                mesh = own  # with what is being edited
+            elif own != mesh:
                 ob.data = mesh
                 if not own.users:
                     bpy.data.meshes.remove(own)
             for layer in [layer.name for layer in mesh.uv_layers if layer.name not in layers]:
                 mesh.uv_layers.remove(mesh.uv_layers[layer])
             for layer, uv in layers.items():
-                if layer in mesh.uv_layers and not np.array_equal(_coordinates(mesh.uv_layers[layer]), uv):
-                    mesh.uv_layers[layer].data.foreach_set("uv", uv)
+                _put_back(mesh, layer, uv)
+
+    def has(self, ob: bpy.types.Object, layer: str) -> bool:
+        """Whether an object, one of these, has this UV map still; undo may have taken it away, and then it is made again where it fits."""
+        mesh, (mesh_uid, layers) = ob.data, self._kept[ob.session_uid]
+        if mesh.session_uid != mesh_uid:
+            return False
+        uv = layers.get(layer)
+        if layer not in mesh.uv_layers and uv is not None and not mesh.is_editmode and uv.size == 2 * len(mesh.loops):
+            set_uv(mesh, layer, uv)
+        return layer in mesh.uv_layers
+
+
+def _put_back(mesh: bpy.types.Mesh, layer: str, uv: np.ndarray) -> None:
+    """Give a UV map its coordinates again, where the mesh has as many corners as it had."""
+    if layer not in mesh.uv_layers:
+        return
+    if mesh.is_editmode:
+        edited = bmesh.from_edit_mesh(mesh)
+        at = edited.loops.layers.uv[layer]
+        corners = [corner for face in edited.faces for corner in face.loops]
+        if uv.size == 2 * len(corners):
+            for corner, place in zip(corners, uv.reshape(-1, 2)):
+                corner[at].uv = place
+            bmesh.update_edit_mesh(mesh, loop_triangles=False, destructive=False)
+        return
+    there = mesh.uv_layers[layer]
+    if len(there.data) * 2 == uv.size and not np.array_equal(_coordinates(there), uv):
+        there.data.foreach_set("uv", uv)
 
 
 def _coordinates(layer: bpy.types.MeshUVLoopLayer) -> np.ndarray:
@@ -84,7 +119,7 @@ def set_uv(mesh: bpy.types.Mesh, name: str, uv: np.ndarray) -> None:
     """Write the UV map `name`, (loops, 2), made if missing; which map is active, and which materials read, stays as it is."""
     active, rendered = mesh.uv_layers.active, next((layer.name for layer in mesh.uv_layers if layer.active_render), None)
     active = active and active.name
-    layer = mesh.uv_layers.get(name) or mesh.uv_layers.new(name=name, do_init=False)
+    layer = mesh.uv_layers.get(name) or _new_layer(mesh, name)
     layer.data.foreach_set("uv", np.ascontiguousarray(uv, np.float32).ravel())
     if active is not None:
         mesh.uv_layers.active = mesh.uv_layers[active]
@@ -92,12 +127,36 @@ def set_uv(mesh: bpy.types.Mesh, name: str, uv: np.ndarray) -> None:
         mesh.uv_layers[rendered].active_render = True
 
 
-def _check_editable(ob: bpy.types.Object) -> None:
+def _new_layer(mesh: bpy.types.Mesh, name: str) -> bpy.types.MeshUVLoopLayer:
+    layer = mesh.uv_layers.new(name=name, do_init=False)
+    if layer is None:
+        raise SceneError(f"mesh '{mesh.name}' cannot get another UV map: it has {MOST_LAYERS}; remove one")
+    if layer.name == name:
+        return layer
+    mesh.uv_layers.remove(layer)
+    if name in mesh.attributes:
+        raise SceneError(
+            f"mesh '{mesh.name}' has an attribute '{name}' that is no UV map: rename or remove it, or choose another name for the UV map"
+        )
+    raise SceneError(f"no UV map can be called '{name}'; choose {'a shorter name' if name else 'a name'} for it")
+
+
+def check_editable(ob: bpy.types.Object) -> None:
+    """Raises SceneError where an object's mesh is being edited: it is not read before Edit Mode ends."""
+    if ob.data.is_editmode:
+        raise SceneError(f"'{ob.name}' is being edited: leave Edit Mode first")
+
+
+def check_own(ob: bpy.types.Object) -> None:
+    """Raises SceneError where an object's mesh is linked: what it gets here is not saved."""
+    if ob.data.library is not None:
+        raise SceneError(f"the mesh of '{ob.name}' is linked from another file and cannot be changed here: make it local, or bake it there")
+
+
+def _check_free(ob: bpy.types.Object) -> None:
     mesh = ob.data
     if mesh.library is not None:
         raise SceneError(f"'{ob.name}' is linked from another file and has no UV map for a lightmap: make it local or unwrap it there")
-    if ob.mode == "EDIT":
-        raise SceneError(f"'{ob.name}' is being edited: leave Edit Mode first")
     if len(mesh.uv_layers) >= MOST_LAYERS:
         raise SceneError(f"'{ob.name}' has {MOST_LAYERS} UV maps already: remove one")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -17,7 +18,7 @@ from ..core.settings import BakeSettings
 from ..core.stages import StageProgress
 from .extract import extract_scene
 from .lightmap_atlas import ATLAS_LAYER, lay_out
-from .lightmap_uv import KeptUvs, Unwrap, ensure_uv
+from .lightmap_uv import KeptUvs, Unwrap, check_editable, check_own, ensure_uv
 
 LARGEST_SIDE = 16384  # texels
 ATLAS = "Lightmap"  # name of the one image
@@ -102,11 +103,19 @@ def _named(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     return ob
 
 
+def check_names(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> None:
+    """Raises SceneError where one of the objects shares its name with another one of the scene, which only linked ones can: lightmaps go by name."""
+    counts = Counter(ob.name for ob in scene.objects)
+    for ob in objects:
+        if counts[ob.name] > 1:
+            raise SceneError(f"scene '{scene.name}' has {counts[ob.name]} objects called '{ob.name}', linked ones among them: rename one")
+
+
 @dataclass(frozen=True)
 class Prepared:
     """A bake of which Blender's part is done: `run` reads arrays only and may be called in any thread.
 
-    before: the UV maps that were there.  seconds: of extraction, of unwrapping, and of compilation.
+    before, after: the UV maps that were there, and those that are.  seconds: of extraction, of unwrapping, and of compilation.
     """
 
     arrays: Scene
@@ -116,6 +125,7 @@ class Prepared:
     objects: dict[str, list[str]]
     made: list[bpy.types.Mesh]
     before: KeptUvs
+    after: KeptUvs
     seconds: tuple[float, float, float]
 
     def run(self, progress: StageProgress | None = None) -> SceneLightmaps:
@@ -140,11 +150,16 @@ def prepare(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], request
     Raises:
         SceneError: an object cannot be baked, and why; meshes and UV maps are as they were.
     """
+    for ob in objects:
+        check_editable(ob)
+        if request.atlas:
+            check_own(ob)
+    check_names(scene, objects)
     before = KeptUvs(objects)
     try:
         return _prepared(scene, objects, request, before)
     except BaseException:
-        before.restore(scene)
+        before.restore()
         raise
 
 
@@ -168,7 +183,7 @@ def _prepared(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], reque
             check_charts(target.uv, owner, arrays.geometry.object_names, layer, max(target.size))
         seconds = time.perf_counter() - begin - compiling.seconds
     members = {target.name: sorted(found) if request.atlas else [target.name] for target in targets}
-    return Prepared(arrays, targets, request, layer, members, made, before, (seconds, unwrapped, compiling.seconds))
+    return Prepared(arrays, targets, request, layer, members, made, before, KeptUvs(objects), (seconds, unwrapped, compiling.seconds))
 
 
 def unwrap(objects: Sequence[bpy.types.Object], request: LightmapRequest) -> tuple[list[bpy.types.Mesh], str, int]:

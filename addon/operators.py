@@ -15,6 +15,7 @@ from ..core.errors import SceneError
 from .compositor import layers_node, wire
 from .image_layers import IMAGE_NAME, load_layers, write_layers
 from .job import Job, failed, loading, nothing, render_job
+from .lasting import by_uid
 from .light_mixer import mix_render, wire_mixer
 from .passes import group_names
 from .preserved import kept_render_result
@@ -65,8 +66,9 @@ class JobOperator:
     def cancel(self, context: bpy.types.Context) -> None:
         """Called by Blender where it ends the operator itself: another file is loaded, or the window closed."""
         self._job.cancel()
-        self._hide(context)
         JobOperator.running = None
+        self._hide(context)
+        self.abandon()
 
     def _start(self) -> bool:
         if JobOperator.running is not None and not JobOperator.running.done:
@@ -184,6 +186,7 @@ class AddIndirectLight(NeedsCamera, JobOperator, bpy.types.Operator):
         from .extract.film import extract_film
 
         arrays, seconds = _extracted(context)
+        self._scene, self._layer = context.scene.session_uid, context.view_layer.name
         folder = Path(bpy.app.tempdir)
         return render_job(
             arrays,
@@ -196,22 +199,24 @@ class AddIndirectLight(NeedsCamera, JobOperator, bpy.types.Operator):
         """Load the file; what was wrong is reported."""
         path, stats = self._job.result
         image = load_layers(path)
-        if self.wire:
-            _wire_layers(context, image)
+        scene = by_uid(bpy.data.scenes).get(self._scene)  # the window may show another one by now
+        if self.wire and scene is not None:
+            _wire_layers(scene, self._layer, image)
         left_out = [f"{found['stage']}: {found['reason']}" for found in stats["skipped"]]
-        context.window_manager.lumigate.report(context.scene, left_out, stats["warnings"])
+        if scene is not None:
+            context.window_manager.lumigate.report(scene, left_out, stats["warnings"])
         for warning in stats["warnings"]:
             self.report({"WARNING"}, warning)
         self.report({"INFO"}, f"{IMAGE_NAME}: {stats['method']}, {stats['seconds_total']:.1f} s")
 
 
-def _wire_layers(context: bpy.types.Context, image: bpy.types.Image) -> None:
+def _wire_layers(scene: bpy.types.Scene, view_layer: str, image: bpy.types.Image) -> None:
     """Add the image's indirect light to the compositor, through a mixer where there are light groups."""
-    adder = wire(context.scene, image, context.view_layer.name)
-    names = group_names(context.scene, context.view_layer)
+    adder = wire(scene, image, view_layer)
+    names = group_names(scene, scene.view_layers[view_layer]) if view_layer in scene.view_layers else []
     if names:
-        source = layers_node(context.scene)
-        mixed = wire_mixer(context.scene, source, "Indirect", names)
+        source = layers_node(scene)
+        mixed = wire_mixer(scene, source, "Indirect", names)
         adder.id_data.links.new(mixed.outputs["Image"], adder.inputs["Indirect"])
 
 

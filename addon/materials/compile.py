@@ -66,7 +66,7 @@ def compile_materials(
 def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked_uvs: dict, may_bake: bool, shot: Shot) -> Program:
     program = Program()
     material = use.material
-    if material is None or not _uses_nodes(material):
+    if material is None or not uses_nodes(material):
         color = _DEFAULT_GREY if material is None else Constant(*material.diffuse_color)
         program.emit(ops.DIFFUSE_CLOSURE, color, ZERO, ZERO, ONE)
         return program
@@ -92,8 +92,8 @@ def _program(use: MaterialUse, textures: TexturePool, warnings: list[str], baked
     return program
 
 
-def _uses_nodes(material) -> bool:
-    # From Blender 5 on every material uses its nodes.
+def uses_nodes(material) -> bool:
+    """Whether a material is what its nodes say, not the colour of the viewport; from Blender 5 on every one is."""
     return material.node_tree is not None and (bpy.app.version >= (5, 0) or material.use_nodes)
 
 

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 import lumigate
-from lumigate.addon import lightmap_operators
-from lumigate.addon.job import computing
+from lumigate.addon import lightmap_operators, operators
+from lumigate.addon.job import Job, computing
 from lumigate.addon.lightmap_atlas import ATLAS_LAYER, placed
+from lumigate.addon.lightmap_attributes import ATTRIBUTE, bake_attributes
 from lumigate.addon.lightmap_materials import kept_set_up, set_up, take_down
 from lumigate.addon.lightmap_operators import chosen_objects
 from lumigate.addon.lightmap_uv import LAYER, Unwrap, ensure_uv
@@ -357,10 +358,10 @@ def test_light_at_corners_becomes_a_colour_attribute(registered, scene):
     assert bpy.ops.lumigate.bake_attributes() == {"FINISHED"}
 
     colors = floor.data.color_attributes
-    assert [(layer.name, layer.domain) for layer in colors] == [("Painted", "POINT"), ("Lightmap", "CORNER")]
+    assert [(layer.name, layer.domain) for layer in colors] == [("Painted", "POINT"), (ATTRIBUTE, "CORNER")]
     assert colors[colors.render_color_index].name == "Painted"
     values = np.empty((len(floor.data.loops), 4), np.float32)
-    colors["Lightmap"].data.foreach_get("color", values.ravel())
+    colors[ATTRIBUTE].data.foreach_get("color", values.ravel())
     places = np.array([floor.data.vertices[loop.vertex_index].co for loop in floor.data.loops])
     inside = np.abs(places).max(axis=1) < 1.9
     expected = 100 / (4 * np.pi) * 3 / (9 + (places**2).sum(axis=1)) ** 1.5
@@ -368,8 +369,6 @@ def test_light_at_corners_becomes_a_colour_attribute(registered, scene):
 
 
 def test_attributes_are_refused_where_a_mesh_is_shared_or_modified(scene):
-    from lumigate.addon.lightmap_attributes import bake_attributes
-
     with pytest.raises(SceneError, match="'Box' shares its mesh"):
         bake_attributes(scene, [scene.objects["Box"]], QUICK)
     scene.objects["Floor"].modifiers.new("Array", "ARRAY")
@@ -485,3 +484,266 @@ def test_edits_change_what_is_baked(registered, scene):
         bpy.context.view_layer.update()
         stamps.append(lightmap_operators.stamp_of(box, settings))
     assert len(set(stamps)) == len(stamps)
+
+
+def meanwhile(monkeypatch, kind, edit):
+    """What the user does while an operator of this kind computes: `edit(scene)`, after the scene has been read."""
+    begin = kind.begin
+
+    def edited(self, context):
+        job = begin(self, context)
+        edit(context.scene)
+        return job
+
+    monkeypatch.setattr(kind, "begin", edited)
+
+
+def renamed(scene):
+    scene.objects["Box"].name, scene.name = "Kiste", "Room"
+
+
+def removed(scene):
+    bpy.data.objects.remove(scene.objects["Box"])
+
+
+def unlinked(scene):
+    scene.collection.objects.unlink(scene.objects["Box"])
+
+
+def undone(scene):
+    scene.objects["Box"].data.uv_layers.remove(scene.objects["Box"].data.uv_layers[LAYER])
+
+
+def remodelled(scene):
+    mesh = scene.objects["Box"].data
+    mesh.clear_geometry()
+    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+
+
+def in_edit_mode(scene):
+    bpy.context.view_layer.objects.active = scene.objects["Box"]
+    bpy.ops.object.mode_set(mode="EDIT")
+
+
+def wears(ob):
+    return ob.material_slots and ob.material_slots[0].material.name.endswith(f"lightmap {ob.name}")
+
+
+@pytest.mark.parametrize("edit", [renamed, removed, unlinked, undone, remodelled, in_edit_mode])
+def test_work_done_during_a_bake_does_not_lose_it(registered, scene, monkeypatch, edit):
+    # Objects and the scene were looked up by their names of before: a KeyError at the end, and all light was lost.
+    quick(scene)
+    floor, box = scene.objects["Floor"], scene.objects["Box"]
+    meanwhile(monkeypatch, lightmap_operators.BakeLightmaps, edit)
+    try:
+        assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+    finally:
+        if edit is in_edit_mode:
+            bpy.ops.object.mode_set(mode="OBJECT")
+    assert wears(floor) and "Lightmap Other box" in bpy.data.images
+    assert ("Lightmap Box" in bpy.data.images) == (edit is not removed)
+    if edit is undone:
+        assert LAYER in box.data.uv_layers
+    if edit is remodelled:  # its charts have gone: the image is there, but nothing would place it on the new faces
+        assert not wears(box)
+    if edit in (renamed, unlinked, undone, in_edit_mode):
+        assert any(node.type == "TEX_IMAGE" for node in box.material_slots[0].material.node_tree.nodes)
+
+
+@pytest.mark.parametrize("edit", [renamed, removed, remodelled, in_edit_mode])
+def test_work_done_during_a_bake_of_attributes_does_not_lose_it(registered, scene, monkeypatch, edit):
+    quick(scene)
+    floor, box = scene.objects["Floor"], scene.objects["Box"]
+    bpy.data.objects.remove(scene.objects["Other box"])
+    meanwhile(monkeypatch, lightmap_operators.BakeAttributes, edit)
+    try:
+        assert bpy.ops.lumigate.bake_attributes() == {"FINISHED"}
+    finally:
+        if edit is in_edit_mode:
+            bpy.ops.object.mode_set(mode="OBJECT")
+    assert ATTRIBUTE in floor.data.color_attributes
+    if edit in (renamed, in_edit_mode):
+        colors = np.empty((len(box.data.loops), 4), np.float32)
+        box.data.color_attributes[ATTRIBUTE].data.foreach_get("color", colors.ravel())
+        assert colors[:, :3].max() > 0.1
+    elif edit is remodelled:
+        assert ATTRIBUTE not in box.data.color_attributes
+
+
+def test_settings_of_the_beginning_count(registered, scene, monkeypatch, tmp_path):
+    # Irradiance was shown as radiance, and "Changed" did not see what was edited while the light was computed.
+    settings = quick(scene)
+    settings.objects = "CHANGED"
+
+    def edit(_scene):
+        settings.content, settings.packed, settings.folder = "full", False, str(tmp_path / "none" / "maps")
+        scene.objects["Box"].location.x -= 0.1
+        bpy.context.view_layer.update()
+
+    with monkeypatch.context() as patch:
+        meanwhile(patch, lightmap_operators.BakeLightmaps, edit)
+        assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+    settings.content = "irradiance"
+    assert bpy.data.images["Lightmap Floor"].packed_file is not None
+    tree = scene.objects["Floor"].material_slots[0].material.node_tree
+    strengths = [node.inputs["Emission Strength"].default_value for node in tree.nodes if node.type == "BSDF_PRINCIPLED"]
+    assert pytest.approx(1 / np.pi) in strengths
+    assert [ob.name for ob in chosen_objects(scene)] == ["Box"]
+
+
+def test_lightmaps_whose_folder_has_gone_are_packed(registered, scene, tmp_path, monkeypatch):
+    settings = quick(scene)
+    settings.packed, settings.folder = False, str(tmp_path / "maps")
+    meanwhile(monkeypatch, lightmap_operators.BakeLightmaps, lambda _scene: (tmp_path / "maps").rmdir())
+    assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+    assert bpy.data.images["Lightmap Floor"].packed_file is not None
+
+
+def test_cancel_while_a_mesh_is_edited_leaves_the_scene_as_it_was(registered, scene, monkeypatch):
+    settings = quick(scene)
+    settings.atlas = True
+    ensure_uv([scene.objects["Floor"]], Unwrap(layer=ATLAS_LAYER))
+    before = meshes_of(scene)
+
+    def edit(scene):
+        bpy.context.view_layer.objects.active = scene.objects["Floor"]
+        for ob in scene.objects:
+            ob.select_set(False)
+        bpy.ops.object.mode_set(mode="EDIT")
+        operators.JobOperator.running.cancel()
+
+    def begun(work):
+        job = Job(lambda advance: None)
+        operators.JobOperator.running = job
+        edit(scene)
+        return job
+
+    monkeypatch.setattr(lightmap_operators, "computing", begun)
+    assert bpy.ops.lumigate.bake_lightmaps() == {"CANCELLED"}
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert meshes_of(scene) == before
+
+
+def test_a_bake_that_blender_ends_leaves_the_scene_as_it_was(registered, scene):
+    # The window in which it began is closed: Blender calls `cancel`, and the UV maps stayed.
+    quick(scene)
+    before = meshes_of(scene)
+
+    class Ended(operators.JobOperator):
+        begin, abandon = lightmap_operators.BakeLightmaps.begin, lightmap_operators.BakeLightmaps.abandon
+        _prepared = None
+
+        def _hide(self, _context):
+            pass
+
+    ended = Ended()
+    ended._job = ended.begin(bpy.context)
+    assert meshes_of(scene) != before
+    ended.cancel(bpy.context)
+    assert ended._job.wait(60) and meshes_of(scene) == before
+
+
+def test_maps_and_attributes_go_together(registered, scene):
+    # UV maps and colour attributes share their names: each bake added another 'Lightmap.001', and a UV map of that name was not found.
+    quick(scene)
+    bpy.data.objects.remove(scene.objects["Other box"])
+    for _ in range(2):
+        assert bpy.ops.lumigate.bake_attributes() == {"FINISHED"}
+        assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+    mesh = scene.objects["Box"].data
+    assert [layer.name for layer in mesh.color_attributes] == [ATTRIBUTE]
+    assert sorted(layer.name for layer in mesh.uv_layers) == [LAYER, "UVMap"]
+
+
+@pytest.mark.parametrize(("name", "words"), [("", "choose a name"), ("x" * 80, "shorter"), ("Taken", "'Taken' that is no UV map")])
+def test_names_that_no_uv_map_can_have_are_refused(scene, name, words):
+    if words == "shorter" and bpy.app.version >= (5, 0):
+        pytest.skip("from Blender 5 on they may be that long")
+    mesh = scene.objects["Floor"].data
+    mesh.attributes.new("Taken", "FLOAT", "POINT")
+    maps = [layer.name for layer in mesh.uv_layers]
+    with pytest.raises(SceneError, match=words):
+        prepare(scene, [scene.objects["Floor"]], LightmapRequest(QUICK, Unwrap(layer=name), size=24))
+    assert [layer.name for layer in mesh.uv_layers] == maps
+
+
+def test_meshes_in_edit_mode_are_refused_by_name(scene):
+    box = scene.objects["Box"]
+    ensure_uv([box], Unwrap())
+    box.data = box.data.copy()
+    bpy.context.view_layer.objects.active = box
+    bpy.ops.object.mode_set(mode="EDIT")
+    try:
+        for bake in (lambda: prepare(scene, [box], LightmapRequest(QUICK, size=24)), lambda: bake_attributes(scene, [box], QUICK)):
+            with pytest.raises(SceneError, match="'Box' is being edited"):
+                bake()
+    finally:
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+@pytest.fixture
+def linked(registered, scene, tmp_path):
+    """The scene with its objects linked from another file, in which Box has a UV map for lightmaps and a mesh of its own."""
+    box = scene.objects["Box"]
+    box.data = box.data.copy()
+    ensure_uv([box], Unwrap())
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, there):
+        there.objects = ["Box", "Floor", "Lamp"]
+    for ob in there.objects:
+        scene.collection.objects.link(ob)
+    bpy.context.view_layer.update()
+    return scene
+
+
+def test_linked_objects_keep_what_is_theirs(linked):
+    # Light in a linked mesh went when the file was saved; materials of a linked object cannot be changed, and the bake ended with a fault.
+    scene, settings = linked, quick(linked)
+    with pytest.raises(RuntimeError, match="'Box' is linked"):
+        bpy.ops.lumigate.bake_attributes()
+    with pytest.raises(RuntimeError, match="'Floor' is linked"):
+        bpy.ops.lumigate.bake_lightmaps()
+    settings.objects = "SELECTED"
+    for ob in scene.objects:
+        ob.select_set(ob.name == "Box")
+    settings.atlas = True
+    with pytest.raises(RuntimeError, match="'Box' is linked"):
+        bpy.ops.lumigate.bake_lightmaps()
+    settings.atlas = False
+    assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+    assert "Lightmap Box" in bpy.data.images and not wears(scene.objects["Box"])
+    assert bpy.ops.lumigate.restore_materials() == {"FINISHED"}
+    override = scene.objects["Box"].override_create(remap_local_usages=True)
+    override.select_set(True)
+    assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+    assert wears(override)
+
+
+def test_a_linked_object_of_the_same_name_is_told(linked):
+    twin = bpy.data.objects.new("Box", bpy.data.meshes.new_from_object(linked.objects["Box"]))
+    linked.collection.objects.link(twin)
+    with pytest.raises(SceneError, match="2 objects called 'Box'"):
+        prepare(linked, [twin], LightmapRequest(QUICK, size=24))
+
+
+def test_a_material_without_nodes_is_its_colour(scene):
+    material = bpy.data.materials.new("Plain")
+    if material.node_tree is not None:
+        pytest.skip("from Blender 5 on every material uses its nodes")
+    material.diffuse_color = (0.1, 0.6, 0.3, 1)
+    floor = scene.objects["Floor"]
+    floor.data.materials.append(material)
+    set_up(floor, bpy.data.images.new("Light", 4, 4), LAYER, "irradiance")
+    multiply = next(node for node in floor.material_slots[0].material.node_tree.nodes if node.type == "VECT_MATH")
+    np.testing.assert_allclose(multiply.inputs[1].default_value, (0.1, 0.6, 0.3), rtol=1e-5)
+    assert take_down([floor]) == 1 and floor.material_slots[0].material == material
+
+
+def test_long_names_are_baked_again_in_their_place(registered, scene):
+    quick(scene)
+    scene.objects["Floor"].name, scene.objects["Box"].name = "x" * 60 + "1", "x" * 60 + "2"
+    for _ in range(2):
+        assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+        assert len([image for image in bpy.data.images if image.name.startswith("Lightmap")]) == 3

@@ -103,6 +103,25 @@ def test_the_compositors_group_adds_the_light(scene, tmp_path):
     np.testing.assert_allclose(picture(scene, tmp_path / "sum.exr"), direct + 2 * indirect, atol=2e-3 * indirect.max())
 
 
+def test_the_light_goes_to_the_scene_that_it_was_computed_for(scene, monkeypatch):
+    # It went into the compositor of the scene that the window showed when it was done.
+    other = bpy.data.scenes.new("Other")
+    finish = operators.AddIndirectLight.finish
+
+    def elsewhere(self, context):
+        scene.name = "Renamed"
+        with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
+            finish(self, bpy.context)
+
+    monkeypatch.setattr(operators.AddIndirectLight, "finish", elsewhere)
+    assert bpy.ops.lumigate.add_indirect_light(wire=True) == {"FINISHED"}
+
+    def tree_of(one):
+        return one.node_tree if hasattr(one, "node_tree") else one.compositing_node_group
+
+    assert tree_of(other) is None and NODE_NAME in tree_of(scene).nodes
+
+
 def test_a_cancelled_job_leaves_everything_as_it_was(scene, monkeypatch):
     bpy.ops.lumigate.check_scene()  # what Blender makes at the first render is there
     before = blocks()
