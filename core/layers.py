@@ -7,6 +7,7 @@ Layers are named as Blender names render passes, and a channel is ``<ViewLayer>.
 from __future__ import annotations
 
 import os
+import zlib
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -103,8 +104,8 @@ def write_whole(path: str | os.PathLike, write: Callable[[Path], None]) -> Path:
         SceneError: it could not be written (disk full, read-only folder), in one line.
     """
     path = Path(path)
-    # The suffix stays last, for writers choose the format by it.
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    # The suffix stays last, for writers choose the format by it; a name of any length leaves room for the rest.
+    temporary = path.with_name(f".{path.stem[:40]}.{zlib.crc32(path.name.encode()):08x}.{os.getpid()}.part{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write(temporary)

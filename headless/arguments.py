@@ -6,6 +6,7 @@ Nothing heavy is imported here, so that `--help` and a wrong argument answer at 
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import sys
 from dataclasses import dataclass, replace
@@ -55,14 +56,14 @@ def scene_source(text: str) -> str:
         raise argparse.ArgumentTypeError(
             f"{text!r} is neither a scene file ({kinds}) nor a sample scene ({', '.join(sample_scenes.NAMES)})"
         )
-    if not path.is_file():
+    if not os.path.isfile(text):
         raise argparse.ArgumentTypeError(f"there is no file {text!r}; check the path")
     return text
 
 
 def image_file(text: str) -> Path:
     """A multilayer EXR file that exists."""
-    if not Path(text).is_file():
+    if not os.path.isfile(text):
         raise argparse.ArgumentTypeError(f"there is no file {text!r}; check the path")
     return Path(text)
 

@@ -18,7 +18,11 @@ class OutputError(SceneError):
 
 def check_file(path: Path) -> Path:
     """Return `path` if a file can be written there; OutputError if not."""
-    if path.is_dir():
+    try:
+        is_folder = path.is_dir()
+    except OSError as error:  # as of a name that is too long
+        raise OutputError(f"cannot write {str(path)!r} ({error.strerror}); choose another name") from error
+    if is_folder:
         raise OutputError(f"{str(path)!r} is a folder; name a file in it")
     folder = path.parent
     if not folder.is_dir():
@@ -29,7 +33,10 @@ def check_file(path: Path) -> Path:
 
 def check_folder(path: Path) -> Path:
     """Return `path` if it is a folder that can be written into, or can be made; OutputError if not."""
-    nearest = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    try:
+        nearest = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    except OSError as error:
+        raise OutputError(f"cannot write into {str(path)!r} ({error.strerror}); choose another name") from error
     if not nearest.is_dir():
         raise OutputError(f"{str(nearest)!r} is a file, not a folder; choose another folder")
     _check_writable(nearest)
@@ -38,14 +45,17 @@ def check_folder(path: Path) -> Path:
 
 @contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
-    """A temporary folder beside `path`, whose files appear in `path` together when the block ends well, and not at all otherwise.
+    """A temporary folder in `path`, or beside it where it is still to be made, whose files appear in `path` together when the block ends
+    well, and not at all otherwise.
 
     Raises:
         OutputError: they cannot be written or moved.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
+        # Beside a folder that is there may be another disk, or nothing that may be written: it may be a mounted one.
+        home = path if path.is_dir() else path.parent
+        home.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name[:40]}.", suffix=".part", dir=home))
         try:
             yield temporary
             path.mkdir(exist_ok=True)

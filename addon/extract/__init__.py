@@ -90,7 +90,7 @@ def extract_camera_and_lamps(
 
 
 def _go_to(scene: bpy.types.Scene, frame: float | None) -> None:
-    if frame is not None and frame != scene.frame_current_final:
+    if frame is not None and frame != scene.frame_current + scene.frame_subframe:  # `frame_current_final` is remapped
         scene.frame_set(math.floor(frame), subframe=frame % 1.0)
 
 

@@ -9,8 +9,9 @@ import bpy
 import numpy as np
 import pytest
 
-from lumigate.core.layers import Layers, read_exr, write_exr
+from lumigate.core.layers import Layers, read_exr, write_exr, write_picture
 from lumigate.headless.cli import main
+from lumigate.headless.outputs import whole_folder
 
 SMALL = ["--size", "8x8", "--vpls", "4", "--pixel-samples", "1", "--bounces", "1"]
 
@@ -133,6 +134,31 @@ def test_missing_output_folder(run, tmp_path):
 def test_output_that_is_a_folder(run, tmp_path):
     (tmp_path / "out.exr").mkdir()
     assert_refused(run("render", "cornell", "-o", tmp_path / "out.exr"), "is a folder")
+
+
+def test_names_that_no_disk_can_hold(run, tmp_path):
+    # A fault, or found out when the picture was done.
+    for option, name in (("render", "x" * 300 + ".exr"), ("bake", "x" * 300)):
+        assert_refused(run(option, "cornell", "-o", tmp_path / name), "File name too long", "another name")
+    assert_refused(run("render", "x" * 300 + ".blend", "-o", tmp_path / "out.exr"), "there is no file")
+    assert_refused(run("compare", "x" * 300, "x" * 300), "there is no file")
+
+
+def test_the_longest_name_of_an_output_holds(tmp_path):
+    path = tmp_path / ("ü" * 125 + ".exr")
+    assert write_picture(path, np.zeros((2, 2, 3), np.float32)) == path
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+def test_files_for_a_folder_that_is_there_are_made_in_it(tmp_path):
+    # Made beside it they could not be moved into a folder of another disk, as those are that a container mounts.
+    with whole_folder(tmp_path) as folder:
+        assert folder.parent == tmp_path
+        (folder / "map.exr").write_text("")
+    assert [file.name for file in tmp_path.iterdir()] == ["map.exr"]
+    with whole_folder(tmp_path / "made" / "here") as folder:
+        (folder / "map.exr").write_text("")
+    assert [file.name for file in (tmp_path / "made").iterdir()] == ["here"]
 
 
 def test_output_of_another_format(run, tmp_path):

@@ -139,3 +139,10 @@ def test_frame_is_set_and_read(stage):
     scene = stage.extract(frame=11)
     assert scene.frame == 11 == stage.scene.frame_current
     assert (scene.camera.matrix[:3, 3] + scene.origin)[0] == pytest.approx(5)
+
+
+def test_a_frame_is_set_where_time_is_remapped(stage):
+    # Frame 20 was taken for the present one, 10: where time runs twice as fast, 20 is what Blender calls the final frame.
+    stage.scene.render.frame_map_old, stage.scene.render.frame_map_new = 100, 50
+    stage.scene.frame_set(10)
+    assert stage.extract(frame=20).frame == 20
