@@ -26,7 +26,7 @@ def wire(scene: bpy.types.Scene, image: bpy.types.Image, view_layer: str) -> bpy
     if adder is None:
         adder = named(tree.nodes.new("CompositorNodeGroup"), NODE_NAME)
         adder.node_tree = bpy.data.node_groups.get(GROUP_NAME) or _group()
-        _insert(tree, adder, source)
+        _insert(scene, view_layer, adder, source)
     tree.links.new(source.outputs["Indirect"], adder.inputs["Indirect"])
     return adder
 
@@ -34,6 +34,17 @@ def wire(scene: bpy.types.Scene, image: bpy.types.Image, view_layer: str) -> bpy
 def layers_node(scene: bpy.types.Scene) -> bpy.types.Node:
     """The node of the image that `wire` has put in."""
     return compositor_of(scene).nodes[_IMAGE_NODE_NAME]
+
+
+def rendered_node(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bpy.types.Node:
+    """The node of the compositor that gives what is rendered of a view layer, with the sockets that it has now; made where there is none."""
+    tree = compositor_of(scene)
+    found = [node for node in tree.nodes if node.type == "R_LAYERS" and node.scene == scene and node.layer == view_layer.name]
+    node = found[0] if found else tree.nodes.new("CompositorNodeRLayers")
+    if not found:
+        node.scene, node.layer = scene, view_layer.name
+    view_layer.update_render_passes()
+    return node
 
 
 def insert_after(tree: bpy.types.NodeTree, before: bpy.types.NodeSocket, after: bpy.types.NodeSocket) -> None:
@@ -78,14 +89,14 @@ def _end(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
     return next(socket for socket in end.inputs if socket.type == "RGBA")
 
 
-def _insert(tree: bpy.types.NodeTree, adder: bpy.types.Node, source: bpy.types.Node) -> None:
+def _insert(scene: bpy.types.Scene, view_layer: str, adder: bpy.types.Node, source: bpy.types.Node) -> None:
     """Between the end of the tree and what feeds it."""
+    tree = adder.id_data
     end = _end(tree)
     if end.is_linked:
         before = end.links[0].from_socket
     else:
-        rendered = next((node for node in tree.nodes if node.type == "R_LAYERS"), None) or tree.nodes.new("CompositorNodeRLayers")
-        before = rendered.outputs["Image"]
+        before = rendered_node(scene, scene.view_layers.get(view_layer) or scene.view_layers[0]).outputs["Image"]
     tree.links.new(before, adder.inputs["Image"])
     tree.links.new(adder.outputs["Image"], end)
     end.node.location.x += adder.width + _GAP

@@ -10,7 +10,7 @@ import bpy
 
 from ..core.errors import SceneError
 from .job import Job, loading, render_job
-from .passes import COMBINED, hand_over, passes_of, register_passes
+from .passes import COMBINED, group_names, hand_over, long_name, long_names, passes_of, register_passes
 
 if TYPE_CHECKING:
     from .viewport import Viewport
@@ -95,7 +95,8 @@ class LumigateEngine(bpy.types.RenderEngine):
     def _deliver(self, job: Job, depsgraph: bpy.types.Depsgraph) -> None:
         layers, stats = job.result.layers, job.result.stats
         hand_over(self, layers, passes_of(depsgraph.scene, depsgraph.view_layer))
-        for warning in stats["warnings"]:
+        too_long = long_names(group_names(depsgraph.scene, depsgraph.view_layer))
+        for warning in (*stats["warnings"], *(long_name(name) for name in too_long)):
             self.report({"WARNING"}, warning)
         self.update_progress(1.0)
         self.update_stats("", f"Lumigate: {stats['method']}, {stats['seconds_total']:.1f} s")

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import bpy
 
-from .compositor import adding, compositor_of, insert_after, named
+from .compositor import adding, compositor_of, insert_after, named, rendered_node
 
 GROUP_NAME = "Lumigate Light Groups"
 NODE_NAME = "Lumigate Light Groups"
@@ -51,10 +51,10 @@ def wire_mixer(scene: bpy.types.Scene, source: bpy.types.Node, layer: str, names
     return node
 
 
-def mix_render(scene: bpy.types.Scene, names: list[str]) -> bpy.types.Node:
-    """Put a mixer of the light groups that a render gives in the place of its picture; the mixer's node."""
-    tree = compositor_of(scene)
-    rendered = next((node for node in tree.nodes if node.type == "R_LAYERS"), None) or tree.nodes.new("CompositorNodeRLayers")
+def mix_render(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, names: list[str]) -> bpy.types.Node:
+    """Put a mixer of the light groups that a render of the view layer gives in the place of its picture; the mixer's node."""
+    rendered = rendered_node(scene, view_layer)
+    tree = rendered.id_data
     node = wire_mixer(scene, rendered, "Combined", names)
     insert_after(tree, rendered.outputs["Image"], node.outputs["Image"])
     return node

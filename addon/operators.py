@@ -17,7 +17,7 @@ from .image_layers import IMAGE_NAME, load_layers, write_layers
 from .job import Job, failed, loading, nothing, render_job
 from .lasting import by_uid
 from .light_mixer import mix_render, wire_mixer
-from .passes import group_names
+from .passes import group_names, long_name, long_names
 from .preserved import kept_render_result
 from .state import named_objects
 
@@ -40,6 +40,7 @@ class JobOperator:
             return self.execute(context)
         if not self._start():
             return {"CANCELLED"}
+        self._told = set()  # workspaces whose status bar says how far the job is
         self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
@@ -115,13 +116,16 @@ class JobOperator:
     def _show(self, context: bpy.types.Context) -> None:
         state, progress = context.window_manager.lumigate, self._job.progress
         state.running, state.fraction, state.stage = True, progress.fraction, str(progress)
+        self._told.add(context.workspace.session_uid)
         context.workspace.status_text_set(f"Lumigate: {progress.fraction:.0%}, {progress}   (Esc cancels)")
         _redraw(context)
 
     def _hide(self, context: bpy.types.Context) -> None:
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.lumigate.running = False
-        context.workspace.status_text_set(None)
+        for workspace in bpy.data.workspaces:  # the window may have shown many of them
+            if workspace.session_uid in self._told:
+                workspace.status_text_set(None)
         _redraw(context)
 
 
@@ -214,7 +218,7 @@ def _wire_layers(scene: bpy.types.Scene, view_layer: str, image: bpy.types.Image
     """Add the image's indirect light to the compositor, through a mixer where there are light groups."""
     adder = wire(scene, image, view_layer)
     names = group_names(scene, scene.view_layers[view_layer]) if view_layer in scene.view_layers else []
-    if names:
+    if names and not long_names(names):
         source = layers_node(scene)
         mixed = wire_mixer(scene, source, "Indirect", names)
         adder.id_data.links.new(mixed.outputs["Image"], adder.inputs["Indirect"])
@@ -237,7 +241,11 @@ class MixLightGroups(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Wire it."""
-        mix_render(context.scene, group_names(context.scene, context.view_layer))
+        names = group_names(context.scene, context.view_layer)
+        if too_long := long_names(names):
+            self.report({"ERROR"}, long_name(too_long[0]))
+            return {"CANCELLED"}
+        mix_render(context.scene, context.view_layer, names)
         return {"FINISHED"}
 
 

@@ -21,6 +21,7 @@ _HELP = {
     "Position": "Position in world space (m)",
     "Depth": "Distance along the view (m)",
 }
+LONGEST_GROUP = 63 - len("Combined_")  # bytes, of 63 that a pass may be called
 OPTIONAL = tuple(name for name in CONTRACT if name != COMBINED)
 
 
@@ -31,10 +32,18 @@ def _channels(name: str) -> tuple[int, str, str]:
     return (3, "XYZ", "VECTOR") if name in VECTORS else (3, "RGB", "COLOR")
 
 
+def _show_sockets(passes: LumigatePasses, _context: bpy.types.Context) -> None:
+    """The compositor shows what sockets a view layer has now, not first after the next render."""
+    for layer in passes.id_data.view_layers:
+        layer.update_render_passes()
+
+
 class LumigatePasses(bpy.types.PropertyGroup):
     """The passes that a view layer gives to the compositor."""
 
-    __annotations__ = {name: bpy.props.BoolProperty(name=name, description=_HELP[name], default=True) for name in OPTIONAL}
+    __annotations__ = {
+        name: bpy.props.BoolProperty(name=name, description=_HELP[name], default=True, update=_show_sockets) for name in OPTIONAL
+    }
 
     def wanted(self) -> list[str]:
         """Names of the passes that are switched on, besides Combined."""
@@ -52,8 +61,19 @@ def group_names(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> list
 def passes_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> list[str]:
     """Names of the passes that a view layer gives besides Combined."""
     wanted = view_layer.lumigate.wanted()
+    too_long = long_names(group_names(scene, view_layer))
     kinds = [kind for kind in GROUP_LAYERS if kind == COMBINED or kind in wanted]
-    return [*wanted, *(f"{kind}_{name}" for name in group_names(scene, view_layer) for kind in kinds)]
+    return [*wanted, *(f"{kind}_{name}" for name in group_names(scene, view_layer) if name not in too_long for kind in kinds)]
+
+
+def long_names(groups: list[str]) -> list[str]:
+    """The light groups whose passes Blender has no room for: a file with their names cut off cannot be written, or not be read."""
+    return [name for name in groups if len(name.encode()) > LONGEST_GROUP]
+
+
+def long_name(group: str) -> str:
+    """A line about one of them."""
+    return f"light group '{group}' has no passes: its name is too long for Blender, shorten it to {LONGEST_GROUP} bytes"
 
 
 def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:

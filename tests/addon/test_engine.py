@@ -116,3 +116,17 @@ def test_a_scene_that_cannot_be_rendered_is_refused_in_one_line(scene):
     scene.camera.data.type = "PANO"
     with pytest.raises(RuntimeError, match=f"'{scene.camera.name}' .* only perspective, orthographic"):
         bpy.ops.render.render()
+
+
+def test_the_compositor_shows_at_once_which_passes_there_are(scene):
+    # A pass that was switched on had no socket before the next render.
+    if hasattr(scene, "compositing_node_group"):
+        scene.compositing_node_group = tree = bpy.data.node_groups.new("Compositing", "CompositorNodeTree")
+    else:
+        scene.use_nodes = True
+        tree = scene.node_tree
+    node = tree.nodes.new("CompositorNodeRLayers")
+    scene.view_layers[0].lumigate.Depth = False
+    assert not node.outputs["Depth"].enabled if "Depth" in node.outputs else True
+    scene.view_layers[0].lumigate.Depth = True
+    assert node.outputs["Depth"].enabled

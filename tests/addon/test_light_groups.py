@@ -7,6 +7,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from lumigate.addon.compositor import compositor_of
 from lumigate.addon.extract import extract_scene
 from lumigate.addon.extract.film import extract_film
 from lumigate.addon.image_layers import IMAGE_NAME
@@ -127,3 +128,28 @@ def test_add_indirect_light_goes_through_a_mixer(scene, tmp_path):
     layers = read_exr(path)
     np.testing.assert_allclose(fill, 4 * layers["Indirect_Fill"], atol=2e-3 * fill.max())
     np.testing.assert_allclose(one - direct, layers["Indirect"], atol=2e-3 * one.max())
+
+
+def test_groups_that_are_new_are_mixed_of_their_own_scene(scene):
+    # The node that was there had no sockets of groups made since, a KeyError, or was that of another scene.
+    tree = compositor_of(scene)
+    for node in list(tree.nodes):
+        if node.type == "R_LAYERS":
+            tree.nodes.remove(node)
+    stranger = tree.nodes.new("CompositorNodeRLayers")
+    stranger.scene = bpy.data.scenes.new("Other")
+    own = tree.nodes.new("CompositorNodeRLayers")
+    own.scene, own.layer = scene, scene.view_layers[0].name
+    scene.view_layers[0].lightgroups.add(name="Rim")
+    assert bpy.ops.lumigate.mix_light_groups() == {"FINISHED"}
+    assert {link.from_node for socket in mixer(scene).inputs for link in socket.links} == {own}
+
+
+def test_a_group_whose_passes_blender_cannot_name_is_left_out(scene, rendered):
+    # Names were cut off: two parts of one name in the file, which Blender 5 did not write then.
+    scene.view_layers[0].lightgroups.add(name="x" * 40)
+    scene.view_layers[0].lightgroups.add(name="y" * 55)
+    passes = rendered()
+    assert "Combined_" + "x" * 40 in passes and not [name for name in passes if "yyy" in name]
+    with pytest.raises(RuntimeError, match="shorten it to 54 bytes"):
+        bpy.ops.lumigate.mix_light_groups()

@@ -1,6 +1,7 @@
 """What the panel's buttons do: layers as an image, the compositor's group, the scene check; and what they leave alone."""
 
 import threading
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -13,6 +14,7 @@ from lumigate.addon import operators
 from lumigate.addon.compositor import GROUP_NAME, NODE_NAME
 from lumigate.addon.image_layers import IMAGE_NAME, full_frame, load_layers, write_layers
 from lumigate.addon.job import Job
+from lumigate.addon.progress import Progress
 from lumigate.core.denoise import Denoiser
 from lumigate.core.layers import Layers, read_exr
 from lumigate.core.pipeline import render
@@ -202,3 +204,19 @@ def test_clear_cache_empties_its_folders(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(operators, "_cache_folders", lambda: (lambda: tmp_path / "bakes", lambda: tmp_path / "worlds"))
     assert bpy.ops.lumigate.clear_cache() == {"FINISHED"}
     assert not (tmp_path / "bakes").exists()
+
+
+def test_the_status_bar_of_every_workspace_is_free_again(scene, monkeypatch):
+    # One that the user had left said for ever how far the job was.
+    said = {}
+    monkeypatch.setattr(bpy.types.WorkSpace, "status_text_set", lambda workspace, text: said.update({workspace.name: text}))
+    bpy.ops.wm.read_factory_settings()
+    workspaces = [bpy.data.workspaces["Layout"], bpy.data.workspaces["Animation"]]
+    timers = SimpleNamespace(lumigate=SimpleNamespace(), event_timer_remove=lambda _timer: None, windows=[])
+    operator = operators.JobOperator()
+    operator._job, operator._timer, operator._told = SimpleNamespace(progress=Progress()), None, set()
+    for workspace in workspaces:
+        operator._show(SimpleNamespace(window_manager=timers, workspace=workspace))
+    assert sorted(said) == ["Animation", "Layout"] and all(said.values())
+    operator._hide(SimpleNamespace(window_manager=timers, workspace=workspaces[1]))
+    assert said == {"Animation": None, "Layout": None}
