@@ -17,6 +17,7 @@ import numpy as np
 from gpu_extras.presets import draw_texture_2d
 
 from ..core.errors import SceneError
+from ..core.film import Film
 from ..core.scene import Camera, Scene
 from ..core.settings import RenderSettings
 from .job import Job, loading, render_job
@@ -35,12 +36,13 @@ _RESTING = {"pixel_samples": 1, "direct_samples": 1, "samples": 4, "gather": 2, 
 
 
 class _Eye(NamedTuple):
-    """What a region of the screen looks through: matrices by rows, and its size in pixels."""
+    """What a region of the screen looks through: matrices by rows, its size in pixels, and whether it shows a part of the scene only."""
 
     view: tuple[float, ...]
     window: tuple[float, ...]
     width: int
     height: int
+    partly: tuple[bool, bool]
 
 
 class Viewport:
@@ -74,12 +76,14 @@ class Viewport:
             self._redraw_soon(engine)
             return
         region, eye = context.region, _looking(context)
-        settings = depsgraph.scene.lumigate.as_settings()
+        settings = viewport_settings(depsgraph.scene)
+        if self._eye is not None and eye.partly != self._eye.partly:
+            self.update()
         if eye != self._eye or settings != self._settings:
             self._eye, self._settings = eye, settings
             self._restart()
         if self._stale and (self._reading < _QUICK or time.perf_counter() - self._changed > _REST):
-            self._read(depsgraph)
+            self._read(depsgraph, context.space_data)
             self._restart()
         self._collect()
         if self._scene is not None and self._job is None and self._step <= _REFINEMENTS + 1:
@@ -115,13 +119,13 @@ class Viewport:
             return True
         return self._job is not None and not self._job.done and not self._stale
 
-    def _read(self, depsgraph: bpy.types.Depsgraph) -> None:
+    def _read(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None) -> None:
         from .extract import extract_shown
 
         self._stale, self.problem = False, ""
         begin = time.perf_counter()
         try:
-            self._scene = extract_shown(depsgraph, self._camera(_FINE))
+            self._scene = extract_shown(depsgraph, self._camera(_FINE), space)
             black = [line for line in self._scene.warnings if "is black until" in line]
             self.problem = black[0] if black else ""
         except SceneError as error:
@@ -176,7 +180,7 @@ class Viewport:
         if self._step > 0:
             self._mean = found if self._mean is None else self._mean + (found - self._mean) / np.float32(self._step)
             found = self._mean
-        self._picture = np.concatenate([found, np.ones_like(found[..., :1])], axis=2)
+        self._picture = found if found.shape[2] == 4 else np.concatenate([found, np.ones_like(found[..., :1])], axis=2)
         self._texture = None
         self._step, self._late = (0 if self._late else self._step + 1), False
 
@@ -194,7 +198,13 @@ class Viewport:
         gpu.state.blend_set("NONE")
 
 
+def viewport_settings(scene: bpy.types.Scene) -> RenderSettings:
+    """The scene's settings, and what of its film a viewport shows: whether the world is transparent."""
+    return replace(scene.lumigate.as_settings(), film=Film(transparent=scene.render.film_transparent))
+
+
 def _looking(context: bpy.types.Context) -> _Eye:
     view, region = context.region_data, context.region
     flat = (tuple(value for row in matrix for value in row) for matrix in (view.view_matrix, view.window_matrix))
-    return _Eye(*flat, region.width, region.height)
+    space = context.space_data
+    return _Eye(*flat, region.width, region.height, (space.local_view is not None, space.use_local_collections))

@@ -94,8 +94,10 @@ def _go_to(scene: bpy.types.Scene, frame: float | None) -> None:
         scene.frame_set(math.floor(frame), subframe=frame % 1.0)
 
 
-def extract_shown(depsgraph: bpy.types.Depsgraph, camera: Camera) -> Scene:
+def extract_shown(depsgraph: bpy.types.Depsgraph, camera: Camera, space: bpy.types.SpaceView3D | None = None) -> Scene:
     """What a viewport's evaluation shows, seen by `camera` (in world space): nothing is baked or rendered for it.
+
+    space: the viewport, of which the local view and local collections count.
 
     Raises:
         SceneError: too much geometry.
@@ -103,7 +105,8 @@ def extract_shown(depsgraph: bpy.types.Depsgraph, camera: Camera) -> Scene:
     scene = depsgraph.scene
     layer = scene.view_layers[depsgraph.view_layer_eval.name]
     links = Links.of(depsgraph)
-    return _assembled(scene, layer, depsgraph, collect(depsgraph, links=links), collect_lamps(depsgraph, links), camera, "not")
+    found, lamps = collect(depsgraph, links=links, space=space), collect_lamps(depsgraph, links, space)
+    return _assembled(scene, layer, depsgraph, found, lamps, camera, "not")
 
 
 def _assembled(

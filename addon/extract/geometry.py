@@ -93,15 +93,28 @@ def instance_visibility(instance: bpy.types.DepsgraphObjectInstance, view_layer:
     return visibility
 
 
+def is_shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None) -> bool:
+    """Whether an evaluated object is to be seen: of a viewport's evaluation, what a render shows, too, and the viewport `space` does."""
+    if depsgraph.mode == "VIEWPORT" and ob.hide_render:
+        return False
+    return space is None or ob.visible_in_viewport_get(space)
+
+
 def light_group(instance: bpy.types.DepsgraphObjectInstance) -> str:
     """Name of the light group of an instance, as Cycles finds it: its own, else its parent's; '' for none."""
     return instance.object.lightgroup or (instance.parent.lightgroup if instance.is_instance else "")
 
 
-def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None = None, links: Links | None = None) -> Collected:
+def collect(
+    depsgraph: bpy.types.Depsgraph,
+    lightmaps: Mapping[str, str] | None = None,
+    links: Links | None = None,
+    space: bpy.types.SpaceView3D | None = None,
+) -> Collected:
     """Copy every mesh of an evaluated scene once, and list its instances.
 
     lightmaps: the UV map of each object, by name, that a lightmap is to be baked on.  links: of the same evaluation, None for none.
+    space: the viewport whose local view and collections count.
     """
     lightmaps = lightmaps or {}
     links = Links() if links is None else links
@@ -116,7 +129,7 @@ def collect(depsgraph: bpy.types.Depsgraph, lightmaps: Mapping[str, str] | None 
     override = view_layer.material_override
     for instance in depsgraph.object_instances:
         ob = instance.object
-        if depsgraph.mode == "VIEWPORT" and ob.hide_render:
+        if not is_shown(ob, depsgraph, space):
             continue
         notes.update(dict.fromkeys(_notes(instance, view_layer)))
         if ob.type != "MESH" or not instance.show_self:

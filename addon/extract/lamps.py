@@ -17,7 +17,7 @@ import numpy as np
 
 from ...core.scene import AREA, ELLIPSE, POINT, RECTANGLE, SPOT, SUN, Lamps, Skipped
 from ..materials import LampProgram, LampUse
-from .geometry import instance_visibility, light_group
+from .geometry import instance_visibility, is_shown, light_group
 from .links import BLOCKERS, RECEIVERS, Links
 from .nodes import faded_emission, node_tree
 
@@ -65,15 +65,15 @@ class CollectedLamps:
         self.skipped.append(Skipped("lamps", f"lamp '{name}' {why}"))
 
 
-def collect_lamps(depsgraph: bpy.types.Depsgraph, links: Links) -> CollectedLamps:
-    """Every lamp that an evaluated scene shows to a render; links: of the same evaluation."""
+def collect_lamps(depsgraph: bpy.types.Depsgraph, links: Links, space: bpy.types.SpaceView3D | None = None) -> CollectedLamps:
+    """Every lamp that an evaluated scene shows to a render; links: of the same evaluation.  space: as in `geometry.collect`."""
     found = CollectedLamps()
     view_layer = depsgraph.view_layer_eval
     seen = set()
     places: dict[str, np.ndarray] = {}
     for instance in depsgraph.object_instances:
         ob = instance.object
-        if ob.type != "LIGHT" or not instance.show_self or (depsgraph.mode == "VIEWPORT" and ob.hide_render):
+        if ob.type != "LIGHT" or not instance.show_self or not is_shown(ob, depsgraph, space):
             continue
         seen.add(ob.name)
         light = ob.data

@@ -1,12 +1,17 @@
 """The camera of a viewport is the one of a render through the same eye; drawing itself is tested in a window (tests/gui)."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
 
+import lumigate
 from lumigate import sample_scenes
 from lumigate.addon.extract import extract_scene, extract_shown
 from lumigate.addon.region import region_camera
+from lumigate.addon.viewport import Viewport, viewport_settings
 
 SIZE = 64, 40
 
@@ -45,3 +50,49 @@ def test_what_a_viewport_shows_is_extracted_without_a_render():
     np.testing.assert_array_equal(shown.geometry.triangles, arrays.geometry.triangles)
     np.testing.assert_allclose(shown.camera.matrix, arrays.camera.matrix, atol=1e-4)
     assert "Render Result" not in bpy.data.images or not bpy.data.images["Render Result"].has_data
+
+
+def test_the_local_view_shows_its_objects_only():
+    bpy.ops.wm.read_factory_settings()  # with a window
+    scene = bpy.context.scene
+    scene.collection.objects.link(bpy.data.objects.new("Other", bpy.data.objects["Cube"].data))
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    region = next(region for region in area.regions if region.type == "WINDOW")
+    for ob in scene.objects:
+        ob.select_set(ob.name == "Cube")
+    bpy.context.view_layer.objects.active = scene.objects["Cube"]
+    camera = seen_from(scene)[1]
+
+    def shown():
+        arrays = extract_shown(bpy.context.evaluated_depsgraph_get(), camera, area.spaces.active)
+        return arrays.geometry.object_names, arrays.lamps.names
+
+    assert shown() == (["Cube", "Other"], ["Light"])
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        bpy.ops.view3d.localview()
+    bpy.context.view_layer.update()
+    assert shown() == (["Cube"], [])
+
+
+def test_the_viewport_sees_through_a_transparent_film():
+    lumigate.register()
+    try:
+        scene = sample_scenes.build("cornell", detail="low")
+        scene.objects["Tall block"].is_holdout = True
+        camera = seen_from(scene)[1]
+        viewport = Viewport()
+        viewport._scene = extract_shown(bpy.context.evaluated_depsgraph_get(), camera)
+        viewport._eye = SimpleNamespace(width=SIZE[0], height=SIZE[1])
+        viewport._camera = lambda _pixel: replace(viewport._scene.camera, matrix=viewport._scene.camera.matrix.copy())
+        for transparent in (True, False):
+            scene.render.film_transparent = transparent
+            viewport._settings = viewport_settings(scene)
+            viewport._restart()
+            job = viewport._job = viewport._begin()
+            assert job.wait(60) and job.error is None
+            viewport._collect()
+            alpha = viewport._picture[..., 3]
+            assert alpha.max() == 1 and (alpha.min() == 0) == transparent
+    finally:
+        lumigate.unregister()
