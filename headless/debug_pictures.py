@@ -6,21 +6,22 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.layers import CONTRACT, Layers, auto_exposure, write_png, write_preview
+from ..core.layers import CONTRACT, GROUP_LAYERS, Layers, auto_exposure, write_png, write_preview
 
 IDS = ("PointClusters", "PointRepresentatives", "AreaLights", "VisibilityClusters", "GeometryClusters")  # numbers from 1; 0 is none
 SHARES = ("VisibleShare", "VisibleShareBlended")  # 0 to 1
 SHADOWS = "AreaLightShadow"  # the beginning of the names of more shares
 WEIGHTS = "FuzzyWeights"  # the beginning of the names of layers of weights, 0 to 1
+_OF_GROUPS = tuple(f"{kind}_" for kind in GROUP_LAYERS)
 # From dark blue through green to yellow, of rising luminance.
 _SHARE_COLOURS = np.array([[0.10, 0.05, 0.30], [0.16, 0.35, 0.55], [0.20, 0.62, 0.50], [0.60, 0.80, 0.25], [1.0, 0.95, 0.45]])
 
 
 def write_debug_pictures(output: Path, layers: Layers) -> list[Path]:
-    """Write OUT-<layer>.png beside `output` for each layer beyond the contract's; SceneError where one cannot be written."""
+    """Write OUT-<layer>.png beside `output` for each layer beyond the contract's and the light groups'; SceneError where one cannot be written."""
     written = []
     for name, array in layers.items():
-        if name in CONTRACT:
+        if name in CONTRACT or name.startswith(_OF_GROUPS):
             continue
         path = output.with_name(f"{output.stem}-{name}.png")
         if name in IDS:

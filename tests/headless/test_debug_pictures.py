@@ -3,9 +3,9 @@
 import numpy as np
 import OpenImageIO as oiio
 
-from lumigate.core.layers import read_exr
+from lumigate.core.layers import Layers, read_exr
 from lumigate.headless.cli import main
-from lumigate.headless.debug_pictures import id_colours, share_colours
+from lumigate.headless.debug_pictures import id_colours, share_colours, write_debug_pictures
 
 
 def test_fuzzy_clustering_shows_its_clusters(tmp_path):
@@ -26,6 +26,13 @@ def test_fuzzy_clustering_shows_its_clusters(tmp_path):
 def test_pictures_of_the_contract_are_not_debug_pictures(tmp_path):
     assert main(["render", "cornell", "-o", str(tmp_path / "out.exr"), "--size", "16x12", "--vpls", "8", "--pixel-samples", "1"]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["out.exr"]
+
+
+def test_layers_of_light_groups_are_not_debug_pictures(tmp_path):
+    # Three pictures a group and frame that nobody had asked for, and a fault where a group's name was none of a file.
+    layers = Layers({"Combined": np.ones((2, 2, 3)), "Direct_Key": np.ones((2, 2, 3)), "Combined_Key/Fill": np.ones((2, 2, 3))})
+    assert write_debug_pictures(tmp_path / "out.exr", layers) == []
+    assert not list(tmp_path.iterdir())
 
 
 def test_colours_of_numbers_and_shares():
