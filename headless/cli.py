@@ -7,6 +7,7 @@ import contextlib
 import importlib
 import importlib.util
 import os
+import shutil
 import signal
 import sys
 import traceback
@@ -59,7 +60,16 @@ def leave(status: int) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):  # nobody reads it any more
             stream.flush()
+    remove_temporary_folder()
     os._exit(status)
+
+
+def remove_temporary_folder() -> None:
+    """Delete what Blender would delete at its end: a folder of this process alone, which is called so."""
+    bpy = sys.modules.get("bpy")
+    folder = Path(bpy.app.tempdir) if bpy is not None else Path()
+    if folder.name.startswith("blender_"):  # else a folder for all processes
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def main(argv: list[str] | None = None, *, in_blender: bool = False) -> int:

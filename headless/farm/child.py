@@ -34,6 +34,9 @@ def serve() -> None:
 
 
 if __name__ == "__main__":
+    from ..cli import remove_temporary_folder
+
     serve()
     sys.stdout.flush()
+    remove_temporary_folder()
     os._exit(0)  # without Blender's static destructors, which may wait for ever (see tests/conftest.py)

@@ -102,6 +102,7 @@ def test_a_command_ends_though_something_still_refers_to_blender(tmp_path):
     # What typing remembers of a class keeps its module, and with it bpy; bpy 4.5 then ends in destructors that wait for ever.
     pin = "import typing; from lumigate.addon.extract.geometry import Collected; typing.Sequence[Collected]; "
     code = "print('ready', flush=True); import sys; sys.argv = ['lumigate', 'inspect', 'cornell']; "
-    ending = run(pin + code + "from lumigate.headless.cli import program; program()", folder=tmp_path)
+    ending = run(pin + code + "from lumigate.headless.cli import program; program()", folder=tmp_path, TMPDIR=str(tmp_path))
     assert ending.status == 0, ending.err
     assert "will be wrong" in ending.out
+    assert not list(tmp_path.iterdir())  # of Blender's: each command left a folder
