@@ -12,6 +12,7 @@ from pathlib import Path
 
 import bpy
 
+from ...addon.lightmap_files import free_path
 from ...addon.lightmaps import choose_objects, unwrap
 from ...core.errors import SceneError
 from ...core.layers import read_exr, write_exr, write_whole
@@ -133,7 +134,9 @@ def _lightmaps(arguments: Namespace, client, terminal: Terminal) -> None:
                 if several and len(image["objects"]) > 1:
                     file = Path(image["file"])
                     image["file"] = f"{file.stem}-{parts[part.key][0] + 1}{file.suffix}"
-                (folder / image["file"]).write_bytes(data)
+                path = free_path(folder, Path(image["file"]).stem, image["file"].rpartition(".")[2])  # workers do not know of each other's
+                path.write_bytes(data)
+                image["file"] = path.name
             listed.append(found)
         images = sorted((image for found in listed for image in found["images"]), key=lambda image: image["objects"])
         (folder / LIST).write_text(json.dumps({**listed[0], "images": images}, indent=2) + "\n", encoding="utf-8")

@@ -25,6 +25,7 @@ from .parts import OUTPUT, SCENE, Part
 
 PACKAGES = ("bpy", "numpy", "numba", "embreex", "OpenImageIO")
 COMMANDS = ("render", "bake")
+NAMES = ("--objects", "--camera", "--uv-map")  # options whose values are no paths, whatever stands in them
 PING = ("ping",)  # a part that does nothing: what a task costs by itself
 POLL = 0.5  # s, after which a task that waits for Blender looks whether it is still wanted
 
@@ -98,12 +99,13 @@ def own_environment(variables: Mapping[str, str]) -> dict[str, str]:
 class Blender:
     """A child process with Blender in it (see `child`), started when it is first needed."""
 
-    def __init__(self):
+    def __init__(self, folder: str):
+        """folder: where the process leaves what it needs for the moment; to be deleted by its owner."""
         package = __package__.rsplit(".", 1)[0]
         self._process = subprocess.Popen(
             [sys.executable, "-m", f"{package}.farm.child"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, encoding="utf-8", bufsize=1,
-            env=own_environment(os.environ),
+            env=own_environment(os.environ) | {"TMPDIR": folder},
         )  # fmt: skip
 
     @property
@@ -165,7 +167,8 @@ def command_line(part: Part, scene: str, folder: Path) -> list[str]:
     first, *rest = part.argv
     if first not in COMMANDS:
         raise FarmError(f"{first!r} is not among a worker's commands: {', '.join(COMMANDS)}")
-    outside = [text for text in rest if text not in (SCENE,) and not text.startswith(OUTPUT) and (os.sep in text or ".." in text)]
+    paths = [text for option, text in zip((first, *rest), rest) if option not in NAMES or text.startswith("-")]
+    outside = [text for text in paths if text not in (SCENE,) and not text.startswith(OUTPUT) and (os.sep in text or ".." in text)]
     outside += [text for text in rest if text.startswith(OUTPUT) and ".." in text]
     if outside:
         raise FarmError(f"{outside[0]!r} is no path under the worker's folder")
@@ -189,7 +192,7 @@ def _scene_file(root: Path, part: Part, content: bytes | None) -> str:
 
 def _blender(worker: Worker) -> Blender:
     if getattr(worker, "blender", None) is None or not worker.blender.alive:
-        worker.blender = Blender()
+        worker.blender = Blender(worker.local_directory)
     return worker.blender
 
 

@@ -125,6 +125,23 @@ def test_lightmaps_and_atlases_have_the_bits_of_one_machine(farm, tmp_path):
     assert all("Lightmap Atlas" in bpy.data.objects[name].data.uv_layers for name in blocks)
 
 
+def test_names_are_no_paths_and_files_of_one_name_stay_apart(farm, tmp_path):
+    # A slash in a name was taken for a path, and of two images that are called alike on disk the later one replaced the other.
+    scene = sample_scenes.build("cornell", detail="low")
+    scene.objects["Tall block"].name, scene.objects["Short block"].name = "Block/1", "Block:1"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    options = ["--size", "16x16", "--vpls", "16", "--texel-samples", "1", "--no-denoise", "--threads", "1"]
+    argv = ["farm", str(tmp_path / "scene.blend"), "-o", str(tmp_path / "maps"), "--bake", "Block/1,Block:1", *options]
+    assert main([*argv, "--scheduler", address(farm)]) == 0
+    images = json.loads((tmp_path / "maps" / "lightmaps.json").read_text())["images"]
+    assert {image["file"] for image in images} == {"Block_1.exr", "Block_1-2.exr"}
+    for option in ("-o", "--stats"):
+        with pytest.raises(FarmError, match="no path under"):
+            command_line(parts.Part("x", ("bake", parts.SCENE, option, "/etc/1"), "cornell", None), "cornell", tmp_path)
+    with pytest.raises(FarmError, match="no path under"):
+        command_line(parts.Part("x", ("bake", parts.SCENE, "--objects", "-o/etc/1"), "cornell", None), "cornell", tmp_path)
+
+
 def test_worker_does_our_work_only(farm):
     with pytest.raises(FarmError, match="parts of Lumigate's jobs only"):
         farm.submit(os.getcwd).result()
