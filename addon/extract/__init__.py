@@ -56,6 +56,8 @@ def extract_scene(
 
     found: Collected
     lamps: CollectedLamps
+    if depsgraph is None:
+        _flush_edits(scene)
     found, lamps, view = in_render_depsgraph(scene, layer, read) if depsgraph is None else read(depsgraph)
     if depsgraph is None:
         layer.update()
@@ -87,6 +89,13 @@ def extract_camera_and_lamps(
     view = extract_camera(eye, image_frame(scene, size))
     view.matrix[:3, 3] -= before.origin
     return replace(before, camera=view, lamps=lamps.joined(suns), frame=scene.frame_current)
+
+
+def _flush_edits(scene: bpy.types.Scene) -> None:
+    """What is being edited goes to its data-block, as before a render of Blender's own: Cycles bakes what stands there."""
+    for ob in scene.objects:
+        if ob.mode == "EDIT":
+            ob.update_from_editmode()
 
 
 def _go_to(scene: bpy.types.Scene, frame: float | None) -> None:

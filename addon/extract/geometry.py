@@ -137,7 +137,7 @@ def collect(
         visibility = instance_visibility(instance, view_layer)
         key = ob.data.as_pointer()
         if visibility and key not in meshes:
-            meshes[key] = copy_mesh(ob.data, wanted, deformed=bool(ob.modifiers) or ob.data.shape_keys is not None)
+            meshes[key] = copy_mesh(ob, wanted)
         if not visibility:
             hidden[ob.name] = None
             continue

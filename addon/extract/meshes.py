@@ -93,12 +93,21 @@ def layer_names() -> set[str]:
     return {getattr(node, key) for tree in node_trees() for node in tree.nodes for key in _NAMING if hasattr(node, key)} - {""}
 
 
-def copy_mesh(mesh: bpy.types.Mesh, wanted: Collection[str], deformed: bool) -> MeshCopy | None:
-    """The triangles of an evaluated mesh, or None where it has no faces.
+def copy_mesh(ob: bpy.types.Object, wanted: Collection[str]) -> MeshCopy | None:
+    """The triangles of an evaluated mesh object, or None where it has no faces.
 
-    wanted: names of layers to copy besides the active ones.  deformed: generated coordinates come from
-    the mesh before its modifiers.
+    wanted: names of layers to copy besides the active ones.
     """
+    deformed = bool(ob.modifiers) or ob.data.shape_keys is not None  # generated coordinates come from the mesh before its modifiers
+    if not ob.data.is_editmode:
+        return _copied(ob.data, wanted, deformed)
+    try:  # while it is edited, a mesh is empty for all but the editor
+        return _copied(ob.to_mesh(), wanted, deformed)
+    finally:
+        ob.to_mesh_clear()
+
+
+def _copied(mesh: bpy.types.Mesh, wanted: Collection[str], deformed: bool) -> MeshCopy | None:
     if len(mesh.polygons) == 0:
         return None
     loops, polygon = _triangulation(mesh)

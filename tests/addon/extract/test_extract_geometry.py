@@ -2,6 +2,7 @@
 
 import math
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
@@ -439,3 +440,36 @@ def test_a_view_layer_by_name(stage):
     assert not layer.use
     scene = stage.extract()
     assert (scene.view_layer, scene.materials.names) == ("ViewLayer", [""])
+
+
+def test_what_is_being_edited_is_there(stage):
+    # A mesh in Edit Mode is empty for all but the editor: the object, what shares its mesh, and its instances were missing from every render.
+    box = stage.cube()
+    box.data.uv_layers.new(name="Map")
+    twin = bpy.data.objects.new("Twin", box.data)
+    twin.modifiers.new("Array", "ARRAY")
+    parts = bpy.data.collections.new("Parts")
+    parts.objects.link(box)
+    instancer = bpy.data.objects.new("Instancer", None)
+    instancer.instance_type, instancer.instance_collection = "COLLECTION", parts
+    for ob in (twin, instancer):
+        stage.scene.collection.objects.link(ob)
+
+    def triangles():
+        arrays = stage.extract()
+        counts = np.bincount(arrays.geometry.object, minlength=len(arrays.geometry.object_names))
+        return sorted(zip(arrays.geometry.object_names, counts.tolist()))
+
+    before = triangles()
+    bpy.context.view_layer.objects.active = box
+    bpy.ops.object.mode_set(mode="EDIT")
+    try:
+        assert triangles() == before
+        edited = bmesh.from_edit_mesh(box.data)
+        bmesh.ops.delete(edited, geom=list(edited.faces)[:1], context="FACES")
+        bmesh.update_edit_mesh(box.data)
+        assert sum(count for _, count in triangles()) == sum(count for _, count in before) * 5 // 6
+        assert box.mode == "EDIT"
+        assert len(box.data.polygons) == 5  # where Cycles bakes from
+    finally:
+        bpy.ops.object.mode_set(mode="OBJECT")
