@@ -16,6 +16,7 @@ from ..core.settings import BakeSettings
 from ..core.stages import StageProgress
 from .extract import extract_scene
 from .lasting import by_uid
+from .lightmap_materials import without_lightmaps
 from .lightmap_uv import check_editable, check_own
 from .lightmaps import check_names, triangles_by_object
 
@@ -121,7 +122,8 @@ def prepare_attributes(
         there = ob.data.attributes.get(ATTRIBUTE)
         if there is not None and (there.data_type, there.domain) != _KIND:
             raise SceneError(f"'{ob.name}' has an attribute '{ATTRIBUTE}' of another kind: rename or remove it")
-    arrays = extract_scene(scene, view_layer=view_layer, lightmaps={ob.name: _EVERY_MESH_HAS for ob in objects})
+    with without_lightmaps():
+        arrays = extract_scene(scene, view_layer=view_layer, lightmaps={ob.name: _EVERY_MESH_HAS for ob in objects})
     rows = triangles_by_object(arrays.geometry)
     for ob in objects:
         ob.data.calc_loop_triangles()

@@ -49,11 +49,10 @@ def can_wear(ob: bpy.types.Object) -> bool:
 
 def take_down(objects: Iterable[bpy.types.Object]) -> int:
     """Give the objects' slots their materials from before `set_up`; the number of objects that had been set up."""
+    objects = [ob for ob in objects if ob.library is None]
     count = 0
     for ob in objects:
-        if ob.library is not None:
-            continue
-        copies = [slot.material for slot in ob.material_slots if slot.material is not None and _LINK in slot.material]
+        copies = _copies(ob)
         for slot in ob.material_slots:
             copy = slot.material
             if copy is None or _LINK not in copy:
@@ -64,11 +63,26 @@ def take_down(objects: Iterable[bpy.types.Object]) -> int:
         for copy in dict.fromkeys(copies):
             if copy.users == 0:
                 bpy.data.materials.remove(copy)
-        if ob.type == "MESH" and ob.data.get(_ADDED_SLOT):
-            ob.data.materials.clear()
-            del ob.data[_ADDED_SLOT]
         count += bool(copies)
+    for mesh in {ob.data for ob in objects if ob.type == "MESH" and ob.data.get(_ADDED_SLOT)}:
+        if mesh.users == 1 or not any(_copies(ob) for ob in bpy.data.objects if ob.data == mesh):
+            mesh.materials.clear()
+            del mesh[_ADDED_SLOT]
     return count
+
+
+def _copies(ob: bpy.types.Object) -> list[bpy.types.Material]:
+    """The materials in an object's slots that `set_up` has made."""
+    return [slot.material for slot in ob.material_slots if slot.material is not None and _LINK in slot.material]
+
+
+@contextmanager
+def without_lightmaps() -> Iterator[None]:
+    """Within, every object wears its materials from before `set_up`: what lightmaps shine with is light that lamps gave to an earlier bake."""
+    objects = [ob for ob in bpy.data.objects if ob.library is None and _copies(ob)]
+    with kept_set_up(objects):
+        take_down(objects)
+        yield
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from ..core.settings import BakeSettings
 from ..core.stages import StageProgress
 from .extract import extract_scene
 from .lightmap_atlas import ATLAS_LAYER, lay_out
+from .lightmap_materials import without_lightmaps
 from .lightmap_uv import KeptUvs, Unwrap, check_editable, check_own, ensure_uv
 
 LARGEST_SIDE = 16384  # texels
@@ -171,7 +172,8 @@ def _prepared(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], reque
     unwrapped = time.perf_counter() - begin
     with CompileTimer() as compiling:
         begin = time.perf_counter()
-        arrays = extract_scene(scene, view_layer=request.view_layer, lightmaps={ob.name: layer for ob in objects})
+        with without_lightmaps():
+            arrays = extract_scene(scene, view_layer=request.view_layer, lightmaps={ob.name: layer for ob in objects})
         found = triangles_by_object(arrays.geometry)
         _check_found(objects, found, layer)
         if request.atlas:

@@ -747,3 +747,38 @@ def test_long_names_are_baked_again_in_their_place(registered, scene):
     for _ in range(2):
         assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
         assert len([image for image in bpy.data.images if image.name.startswith("Lightmap")]) == 3
+
+
+def light_of(name):
+    """(texels, 3) of an object's lightmap."""
+    image = bpy.data.images[f"Lightmap {name}"]
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(-1, image.channels)[:, :3]
+
+
+@pytest.mark.parametrize("content", ["irradiance", "indirect", "full"])
+def test_a_second_bake_is_lit_by_lamps_not_by_the_first(registered, scene, content):
+    # What the first lightmaps shine with was light of the scene: `indirect` grew threefold from bake to bake, and lamps hardly counted.
+    quick(scene).content = content
+    assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+    first, worn = light_of("Floor"), scene.objects["Floor"].material_slots[0].material
+    scene.objects["Lamp"].data.energy /= 4
+    assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+    np.testing.assert_allclose(light_of("Floor"), first / 4, rtol=1e-3, atol=1e-4 * first.max())
+    assert bpy.ops.lumigate.bake_attributes.poll()
+    prepared = prepare(scene, [scene.objects["Floor"]], LightmapRequest(QUICK, size=24))
+    assert wears(scene.objects["Floor"]) and wears(scene.objects["Box"]) and worn != scene.objects["Floor"].material_slots[0].material
+    assert not prepared.arrays.materials.names or not [name for name in prepared.arrays.materials.names if "lightmap" in name]
+
+
+def test_objects_that_share_a_mesh_without_slots_all_show_their_lightmaps(registered, scene):
+    # The slot that the mesh had been given was taken away again with the next object's.
+    scene.objects["Box"].data.materials.clear()
+    quick(scene)
+    materials = len(bpy.data.materials)
+    assert bpy.ops.lumigate.bake_lightmaps() == {"FINISHED"}
+    assert all(wears(scene.objects[name]) for name in ("Box", "Other box", "Floor"))
+    assert bpy.ops.lumigate.restore_materials() == {"FINISHED"}
+    assert not any(scene.objects[name].material_slots for name in ("Box", "Other box", "Floor"))
+    assert len(bpy.data.materials) == materials
