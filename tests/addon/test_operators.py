@@ -191,6 +191,12 @@ def test_the_check_names_objects_and_selects_them(scene):
     assert bpy.context.view_layer.objects.active.name == "Steam"
 
 
+def test_the_check_finds_names_with_apostrophes(scene):
+    scene.collection.objects.link(bpy.data.objects.new("Kim's 'big' smoke", bpy.data.volumes.new("Steam")))
+    assert bpy.ops.lumigate.check_scene() == {"FINISHED"}
+    assert "Kim's 'big' smoke" in [remark.named for remark in bpy.context.window_manager.lumigate.remarks]
+
+
 def test_a_materials_name_selects_who_wears_it(scene):
     material = next(slot.material for ob in scene.objects for slot in ob.material_slots)
     bpy.ops.lumigate.select_named(name=material.name)
