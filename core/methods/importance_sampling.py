@@ -524,6 +524,11 @@ def pool_growth(points: int) -> int:
     return 2 ** max(0, round(0.5 * math.log2(max(points, 1) / MANY_POINTS)))
 
 
+def most_batches(points: int) -> int:
+    """Of particles for the lights of so many points: in a small picture all batches cost more than what they take out of its noise."""
+    return min(MOST_BATCHES, 2 ** max(0, round(math.log2(MOST_BATCHES * max(points, 1) / MANY_POINTS))))
+
+
 def _telling(direct: np.ndarray) -> float:
     """Kish's effective number of the probes that know of the direct light (N, 3 G); 0 where there is none."""
     light = np.einsum("nc->n", direct.astype(np.float64))
@@ -682,7 +687,7 @@ class ImportanceSampling:
             self.threads,
             progress,
             share=self.shares,
-            batches=MOST_BATCHES if turn is None else 1,
+            batches=most_batches(len(points.pixel)) if turn is None else 1,
             particles=particles,
             kept=KEPT,
             beyond=self.probes.position[thrown_on],
