@@ -29,6 +29,7 @@ Particles = Callable[[Transport, int, int, int, int], tuple[Vpls, int]]
 BATCH = 8  # particles a batch, for each VPL wanted
 LARGE, LARGE_BATCH = 1 << 19, 2  # particles beyond which a batch has fewer: a million VPLs would take gigabytes
 MOST_BATCHES = 16
+FEWEST_BATCHES = 2  # where not all lights matter in the first one
 BATCH_SEED = 7919  # between the seeds of batches
 MOST_FLOWN = 1 << 23  # particles in all, which are in memory at once: the same for 65,536 VPLs as ever, 1 GiB for a million
 ENOUGH = 1.5  # lights that matter, for each VPL wanted
@@ -168,6 +169,7 @@ def vpl_pool(
     batches: int = MOST_BATCHES,
     particles: Particles = trace_particles,
     kept: int = 1,
+    enough: float = 1.0,
     beyond: np.ndarray | None = None,
 ) -> tuple[Vpls, dict]:
     """About `count` VPLs, times `kept`, that light the view, after at most `bounces` diffuse surfaces.
@@ -176,6 +178,7 @@ def vpl_pool(
     share: vpls -> the part of each one's light (M,) that is wanted (None: all of it).
     batches: of particles, at most.  particles: traces them, or knows them already; they may be changed here.
     beyond: (N, 3), where else than at the points the light is wanted.
+    enough: times the usual number of lights that matter, after which no more than `FEWEST_BATCHES` of particles are flown.
     kept: above 1, more of the lights of as many particles: for whoever looks at a part of the pool at each point.
 
     Returns:
@@ -203,7 +206,7 @@ def vpl_pool(
             parts.append(useful)
             importance.append(light)
             matter = lights_that_matter(np.concatenate(importance))
-            if matter >= ENOUGH * count:
+            if matter >= (enough if batch + 1 >= FEWEST_BATCHES else 1.0) * ENOUGH * count:
                 break
         elif counts["traced"] == 0:
             break

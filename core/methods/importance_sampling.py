@@ -78,6 +78,8 @@ MIN_PATHS = 20000
 # Beyond so many points, what all of them share grows as their root: the denoiser takes out their own noise over as many pixels as ever,
 # so that less of it is left in a larger picture, but not what neighbours have in common.
 MANY_POINTS = 200_000
+# To fewer points than this fewer lights must matter: of a small picture the particles behind them would be up to half of the time.
+ALL_LIGHTS = 1 << 17
 # Where fewer probes than this tell nearly all direct light (Kish's effective number), as of a patch of sun from a small window, up to so many
 # times more paths are traced: the light of all bounces hangs on them.
 TELLING = 300.0
@@ -524,9 +526,9 @@ def pool_growth(points: int) -> int:
     return 2 ** max(0, round(0.5 * math.log2(max(points, 1) / MANY_POINTS)))
 
 
-def most_batches(points: int) -> int:
-    """Of particles for the lights of so many points: in a small picture all batches cost more than what they take out of its noise."""
-    return min(MOST_BATCHES, 2 ** max(0, round(math.log2(MOST_BATCHES * max(points, 1) / MANY_POINTS))))
+def lights_wanted(points: int) -> float:
+    """How far as many lights as usual must matter to so many points: what all points share is the less of a picture's noise the smaller it is."""
+    return min(1.0, points / ALL_LIGHTS)
 
 
 def _telling(direct: np.ndarray) -> float:
@@ -687,7 +689,8 @@ class ImportanceSampling:
             self.threads,
             progress,
             share=self.shares,
-            batches=most_batches(len(points.pixel)) if turn is None else 1,
+            batches=MOST_BATCHES if turn is None else 1,
+            enough=lights_wanted(len(points.pixel)),
             particles=particles,
             kept=KEPT,
             beyond=self.probes.position[thrown_on],
