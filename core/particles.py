@@ -45,6 +45,7 @@ from .sampling.sequences import sobol
 from .scene import ANGLED, DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SHADOW, SPOT, TELLING, TRANSLUCENT, TRANSPARENT
 from .surfaces.bumps import shadowing
 from .surfaces.layout import (
+    BEND,
     GLOSS,
     GLOSSY_F0,
     GLOSSY_F90,
@@ -64,7 +65,7 @@ from .surfaces.lobes import ALBEDO, ALPHA, LOBE, NORMAL, VIEWER, lobe_value, sam
 from .surfaces.normals import mapped_normal, shading_normal, surface_side
 from .surfaces.program import new_registers
 from .surfaces.sheen import lit_from
-from .surfaces.visibility import OUTSIDE, evaluate_along, evaluate_from, passed_glass
+from .surfaces.visibility import OUTSIDE, bends_most, evaluate_along, evaluate_from, passed_glass
 from .threads import Progress, run_chunks
 from .transport import Transport
 
@@ -384,7 +385,9 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     flags = scene.materials.flags[scene.material[triangle]]
                     angled = flags & (ANGLED | REFRACTIVE) == ANGLED
                     # What comes through is seen from the other end.
-                    reverse = angled or (flags & REFRACTIVE and behind and entered[lane] == OUTSIDE)
+                    # But lamps send to the other side of a sheet what the square of the index says (see `visibility.is_sheet`).
+                    by_lamp = bounce == 0 and scene.emitters.kind[emitter[lane]] != WORLD
+                    reverse = angled or (flags & REFRACTIVE and behind and entered[lane] == OUTSIDE and not by_lamp)
                     as_kind = kind[lane] if bounce == 0 else DIFFUSE
                     if reverse:
                         evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, as_kind, OUTSIDE, rows, surface)
@@ -436,7 +439,14 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                                     bent = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
                                     whole = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
                                     scattered[lane] = uniform(seed, i, bounce, 16 + 2 * _MAX_PASSED + passed) * whole < bent
-                                if not behind:
+                                squared = surface[BEND] * surface[BEND]
+                                bending = bends_most(surface)
+                                if behind and by_lamp and bending and entered[lane] == OUTSIDE:
+                                    for c in range(3):
+                                        flux[lane, c] *= squared
+                                if not behind and by_lamp and bending:
+                                    owed[lane, min(entered[lane], NESTED - 1)] = _1 / squared
+                                elif not behind:
                                     evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, as_kind, OUTSIDE, rows, surface)
                                     within = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
                                     owed[lane, min(entered[lane], NESTED - 1)] = within / (tr + tg + tb)

@@ -252,28 +252,29 @@ def _is_apart(emitters, kind):
 
 
 @leaf
-def _unhidden(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kind, entered):
+def _unhidden(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kind, entered, lamp):
     """The `transmittance1` of a ray of one kind, nothing where what is opaque is in the way."""
     if occluded1(scene.rays, OPAQUE, packet, ox, oy, oz, dx, dy, dz, _0, end, kind):
         return _0, _0, _0, _1
-    return transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kind, kind, entered)
+    return transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kind, kind, entered, lamp)
 
 
 @leaf
-def _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, kind, entered, cosine):
+def _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, kind, entered, cosine, lamp):
     """The `transmittance1` of a ray to an emitter, of this `ray_kind`, from a surface that it leaves at `cosine`.
 
     Where `_is_apart`, opaque things count, too: no ray need have been traced before.
+    lamp: as `transmittance1` takes it.
     Of BOTH kinds, Cycles gives each sampler its share, but what scattered rays find beyond glass it takes whole.
     """
     if kind != BOTH and kind != EACH:
-        return transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, kind, entered)
+        return transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, kind, entered, lamp)
     if scene.emitters.parted:
-        r, g, b, clear = _unhidden(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, DIFFUSE, entered)
-        sr, sg, sb, shadowed = _unhidden(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, SHADOW, entered)
+        r, g, b, clear = _unhidden(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, DIFFUSE, entered, lamp)
+        sr, sg, sb, shadowed = _unhidden(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, SHADOW, entered, lamp)
     else:
-        r, g, b, clear = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, DIFFUSE, entered)
-        sr, sg, sb, shadowed = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, SHADOW, entered)
+        r, g, b, clear = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, DIFFUSE, entered, lamp)
+        sr, sg, sb, shadowed = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, SHADOW, entered, lamp)
     if clear < _0 and shadowed < _0:
         return r, g, b, clear
     if clear < _0:  # by a lens: `methods.caustics`
@@ -312,7 +313,8 @@ def passed_straight(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end
             return _0, _0, _0, _1
         if not scene.emitters.cutouts:
             return _1, _1, _1, _1
-    return _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, kind, entered, cosine)
+    lamp = scene.emitters.kind[e] != WORLD
+    return _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, kind, entered, cosine, lamp)
 
 
 @leaf
@@ -416,7 +418,7 @@ class _Rays(NamedTuple):
     ray: (R, 7) float32, origin, direction, end of the range; the end is below 0 where nothing may stand in the way.
     light, glossy: (R, 3) float32, what they bring if nothing does.
     point, column: (R,) int32, of the block and of the output.  turn: (R,) int32, number among the first samples of the world, gather rays after the others; -1 for the rest.
-    kinds: (R,) int64, kinds of what may stand in the way.  kind: (R,) int64, what it is to materials, see `ray_kind`.
+    kinds: (R,) int64, kinds of what may stand in the way.  kind: (R,) int64, what it is to materials, see `ray_kind`.  lamp: (R,) bool, whether it goes to a lamp, not to the world.
     through: (R, 3) float32, the part that gets through.  clear: (R,) float32, the part of that which passed no glass.
     """
 
@@ -428,6 +430,7 @@ class _Rays(NamedTuple):
     turn: np.ndarray
     kinds: np.ndarray
     kind: np.ndarray
+    lamp: np.ndarray
     through: np.ndarray
     clear: np.ndarray
 
@@ -448,7 +451,7 @@ def _new_rays(n):
     f, i = np.float32, np.int32
     return _Rays(
         np.empty((n, 7), f), np.empty((n, 3), f), np.zeros((n, 3), f), np.empty(n, i), np.empty(n, i), np.empty(n, i), np.empty(n, np.int64),
-        np.empty(n, np.int64), np.empty((n, 3), f), np.empty(n, f),
+        np.empty(n, np.int64), np.zeros(n, np.bool_), np.empty((n, 3), f), np.empty(n, f),
     )  # fmt: skip
 
 
@@ -630,6 +633,7 @@ def _put(scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, g, b, w, 
         )
     rays.point[n], rays.column[n], rays.turn[n], rays.kinds[n] = k, 3 * emitters.light_group[e], turn, emitters.shadow_kinds[e]
     rays.kind[n] = ray_kind(emitters, e, dx, dy, dz)
+    rays.lamp[n] = emitters.kind[e] != WORLD
     return n + 1
 
 
@@ -842,8 +846,8 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
             er, eg, eb = surface[EMISSION], surface[EMISSION + 1], surface[EMISSION + 2]
             if clear < _1:
                 _, _, _, straight = transmittance1(
-                    scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, _SHORT * t, DIFFUSE, DIFFUSE, np.int64(points.entered[i])
-                )
+                    scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, _SHORT * t, DIFFUSE, DIFFUSE, np.int64(points.entered[i]), True
+                )  # fmt: skip
                 if straight < _0:  # by a lens: `methods.caustics`
                     continue
             aimed = aimed_density(emitters, block.number[k], block.unshadowed[k], e, px, py, pz, sx, sy, sz, dx, dy, dz)
@@ -891,8 +895,9 @@ def _trace(scene, packet, rows, surface, points, start, rays, n):
                     normal = points.ns[start + rays.point[j]]
                     cosine = max(_0, normal[0] * p[3] + normal[1] * p[4] + normal[2] * p[5])
                     tr, tg, tb, clear = _through(
-                        scene, packet, rows, surface, p[0], p[1], p[2], p[3], p[4], p[5], p[6], rays.kinds[j], rays.kind[j], entered, cosine
-                    )
+                        scene, packet, rows, surface, p[0], p[1], p[2], p[3], p[4], p[5], p[6], rays.kinds[j], rays.kind[j], entered,
+                        cosine, rays.lamp[j],
+                    )  # fmt: skip
                     if clear < _0:  # a lens throws it elsewhere: `methods.caustics`
                         tr = tg = tb = _0
             rays.through[j, 0], rays.through[j, 1], rays.through[j, 2], rays.clear[j] = tr, tg, tb, clear

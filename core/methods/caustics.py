@@ -22,7 +22,7 @@ from ..lamps.emission import FOR_EVER, emit, focused
 from ..lamps.links import lights
 from ..lamps.lookup import EACH, ray_kind
 from ..lamps.shapes import AWAY_FROM_CENTRE
-from ..lamps.tables import CASTS_SHADOW, FADING, ONE_MINUS_COS, RADIUS, SEEN_BY_GLOSSY
+from ..lamps.tables import CASTS_SHADOW, FADING, ONE_MINUS_COS, RADIUS, SEEN_BY_GLOSSY, WORLD
 from ..particles import BLUR, MAX_ADJOINT, NESTED, faded, reflected
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.packet import WIDTH, is_occluded, new_packet, set_ray
@@ -32,13 +32,13 @@ from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import orthonormal_basis
 from ..sampling.sequences import sobol
 from ..scene import ANGLED, DIFFUSE, METAL, POINT, REFRACTIVE, SHADOW, SPOT, SUN, TRANSPARENT, bounds
-from ..surfaces.bending import STRAIGHT_ON, bent, scattered
+from ..surfaces.bending import bent, scattered
 from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSPARENCY, passing_chance
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value
 from ..surfaces.microfacet import SMALLEST_ALPHA
 from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import new_registers
-from ..surfaces.visibility import OUTSIDE, evaluate_along, is_lens, passed_glass
+from ..surfaces.visibility import OUTSIDE, STRAIGHT_ON, bends_most, evaluate_along, is_lens, is_sheet, passed_glass
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from .wide_lobes import is_wide
@@ -159,7 +159,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
         ax, ay, az = dx, dy, dz  # the straight way
         square = near * before
         x = y = z = qx = qy = qz = fx = fy = fz = flown = _0
-        glasses = fronts = 0  # fronts: of them, whose backs it has not met
+        glasses = sheets = fronts = 0  # sheets: of them, that bend it; fronts: whose backs it has not met
         entered = OUTSIDE
         for layer in range(_SURFACES):
             rays += 1
@@ -196,8 +196,10 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 seen_as = ray_kind(emitters, e, -dx, -dy, -dz)
                 sent = lobes and not thrown and (seen_as == SHADOW or seen_as == EACH)
                 first = SHADOW if sent else DIFFUSE
-                # What comes through is seen from the other end; a view from within a solid may be reflected totally.
-                reverse = flags & (ANGLED | REFRACTIVE) == ANGLED or (flags & REFRACTIVE != 0 and behind and fronts == 0)
+                # What comes through is seen from the other end; a view from within a solid may be reflected totally.  A lamp in glass sends its light out as it is bent.
+                reverse = flags & (ANGLED | REFRACTIVE) == ANGLED or (
+                    flags & REFRACTIVE != 0 and behind and fronts == 0 and (kind == WORLD or thrown)
+                )
                 if reverse:
                     evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, first, OUTSIDE, rows, surface)
                     for c in range(3):
@@ -224,7 +226,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
                     continue
             if not passes:
-                bends = glasses > 0 and is_lens(glasses, x, y, z, ax, ay, az)
+                bends = glasses > 0 and (is_lens(glasses, x, y, z, ax, ay, az) or (kind != WORLD and not lobes and is_sheet(sheets)))
                 # What is within a solid is lit by straight rays.
                 if not receives or (flags & REFRACTIVE and (thrown or not lobes)) or (not thrown and flown < before + near):
                     break
@@ -286,6 +288,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 material = scene.material[triangle]
                 turns = False
                 eta = surface[BEND]
+                sheets += bends_most(surface)
                 front = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
                 ix, iy, iz = dx, dy, dz
                 if abs(eta - _1) > STRAIGHT_ON and not reverse:  # what leaves such a solid goes straight on, as its reverse is seen
@@ -293,6 +296,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 if not turns:
                     entered = passed_glass(entered, behind)
                 if behind:
+                    if turns and fronts == 0 and bends_most(surface):  # as below
+                        r, g, b = eta * eta * r, eta * eta * g, eta * eta * b
                     fronts = max(fronts - 1, 0)
                 else:
                     # Seen from within, as where a pane is one sheet: bent light is denser there by the square of the index, but no brighter to Cycles.

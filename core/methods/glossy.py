@@ -253,13 +253,13 @@ def _reflect_chunk(
                 scene, packet, rows, surface, not wide, ox, oy, oz, dx, dy, dz, key, index, 0, entered
             )
             wr, wg, wb = wr * tr, wg * tg, wb * tb
-            alone = lit[i] == WHOLE or by_lens
+            alone = lit[i] == WHOLE or by_lens > 0
             if alone and lit[i] and not (wide or aside):
                 _lamps_beyond(scene, rows, surface, points.triangle[i], ox, oy, oz, ex, ey, ez, t - before, wr, wg, wb, known, i)
             if triangle < 0:
                 if world and lit[i]:
                     share = _1
-                    if not alone:
+                    if not (lit[i] == WHOLE or by_lens > 1):
                         share = share_of(drawn, aimed_density(emitters, expected, estimate, shining, x, y, z, sx, sy, sz, dx, dy, dz))
                     r, g, b = world_radiance(emitters.world, ex, ey, ez)
                     c = 3 * emitters.light_group[shining]

@@ -364,7 +364,7 @@ def _trace_lights(scene, packet, rows, surface, cutouts, by_view, points, vpls, 
             r, g, b, _ = transmittance1(
                 scene, packet, rows, surface,
                 f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
-                f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane], _0, _1, DIFFUSE, DIFFUSE, OUTSIDE,
+                f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane], _0, _1, DIFFUSE, DIFFUSE, OUTSIDE, False,
             )  # fmt: skip
             if not is_ahead(vpls, j, points.position[k, 0], points.position[k, 1], points.position[k, 2]):
                 r = g = b = _0

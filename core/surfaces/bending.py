@@ -16,9 +16,8 @@ from .frosted import seen_through
 from .layout import BEND, FROST, REFRACTION, TRANSPARENCY, largest_kept
 from .lobes import sample_lobe, set_lobe
 from .normals import mapped_normal, sees_back, shading_normal
-from .visibility import MAX_PASSED, OUTSIDE, evaluate_along, is_lens, passed_glass
+from .visibility import MAX_PASSED, OUTSIDE, STRAIGHT_ON, bends_most, evaluate_along, is_lens, is_sheet, passed_glass
 
-STRAIGHT_ON = np.float32(1e-3)  # distance of an index of refraction from 1 up to which glass bends nothing
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -70,16 +69,19 @@ def bent(materials, geometry, material, triangle, u, v, dx, dy, dz, surface):
 def nearest_reflected(scene, packet, rows, surface, bends, ox, oy, oz, dx, dy, dz, seed, path, dimension, entered):
     """`nearest_surface` to a ray from a glossy lobe, which clear glass turns where it `bends`: what a polished table shows of a bottle.
 
-    Returns what that does, t being the length of the whole way (m), and then whether a lens is on it, beyond which no shadow ray finds anything, origin and
+    Returns what that does, t being the length of the whole way (m), and then whether a lens is on it, beyond which no shadow ray finds anything (2), or a sheet,
+    beyond which none finds lamps (1; 0 for neither), origin and
     direction of its last part, and the length of what comes before (m).  Bent by Snell's law, as `bent` has it; frosted glass is passed straight.
     """
     r = g = b = clear = _1
     ex, ey, ez = dx, dy, dz
     start = before = x = y = z = _0
-    glasses = 0
+    glasses = sheets = 0
     for layer in range(MAX_PASSED):
         triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, ex, ey, ez, start, np.float32(np.inf), GLOSSY)
-        turned = is_lens(glasses, x, y, z, dx, dy, dz)
+        turned = np.int64(1) if is_sheet(sheets) else np.int64(0)
+        if is_lens(glasses, x, y, z, dx, dy, dz):
+            turned = np.int64(2)
         if triangle < 0:
             return -1, _0, _0, np.float32(np.inf), r, g, b, clear, entered, turned, ox, oy, oz, ex, ey, ez, before
         evaluate_along(scene, triangle, u, v, ex, ey, ez, GLOSSY, entered, rows, surface)
@@ -101,6 +103,7 @@ def nearest_reflected(scene, packet, rows, surface, bends, ox, oy, oz, dx, dy, d
             continue
         clear *= max(_0, _1 - refracted / (tr + tg + tb))
         glasses += 1
+        sheets += bends_most(surface)
         nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, _0, _0, _0)
         x, y, z = x + nx, y + ny, z + nz
         turns = False
@@ -111,4 +114,4 @@ def nearest_reflected(scene, packet, rows, surface, bends, ox, oy, oz, dx, dy, d
             before, start = before + t, _0
         else:
             entered = passed_glass(entered, behind)
-    return -1, _0, _0, np.float32(np.inf), _0, _0, _0, clear, entered, False, ox, oy, oz, ex, ey, ez, before
+    return -1, _0, _0, np.float32(np.inf), _0, _0, _0, clear, entered, np.int64(0), ox, oy, oz, ex, ey, ez, before

@@ -19,10 +19,11 @@ from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_
 from ..rays.trace import ALL, COHERENT, CUTOUT, OPAQUE, intersect1, occluded_packet
 from ..sampling.hashing import uniform
 from ..scene import ANGLED, DIFFUSE, GLOSSY, REFRACTIVE, TRANSPARENT
-from .layout import REFRACTION, TRANSPARENCY, passing_chance
+from .layout import BEND, REFRACTION, TRANSPARENCY, passing_chance
 from .normals import sees_back, shading_normal
 from .program import MEAN_VIEW, evaluate, from_within, reflected_view, specular_view
 
+STRAIGHT_ON = np.float32(1e-3)  # distance of an index of refraction from 1 up to which glass bends nothing
 _BENDING = 0.2  # of the sum of normals across a ray: a tenth of a radian in glass
 MAX_PASSED = 128  # transparent surfaces on one segment; what lies behind more counts as dark
 _0 = np.float32(0.0)
@@ -92,31 +93,55 @@ def passed_glass(entered, behind):
 def is_lens(glasses, x, y, z, dx, dy, dz):
     """Whether so many surfaces of glass, whose outward normals add up to (x, y, z), turn a ray along d aside.
 
-    One side alone, as a pool's surface or a pane without thickness, is no lens.  A ray turns by about (IOR - 1) times what that sum has across it: nothing in panes, little in the walls of bulbs and bottles.
+    One side alone, as a pool's surface or a pane without thickness, is no lens (but see `is_sheet`).  A ray turns by about (IOR - 1) times what that sum has across it: nothing in panes, little in the walls of bulbs and bottles.
     """
     along = (x * dx + y * dy + z * dz) / (dx * dx + dy * dy + dz * dz)
     x, y, z = x - along * dx, y - along * dy, z - along * dz
     return glasses % 2 == 0 and x * x + y * y + z * z > np.float32(_BENDING * _BENDING)
 
 
+@inlined
+def bends_most(surface):
+    """Whether most of what a surface lets through is bent by glass."""
+    refracted = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
+    through = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
+    return refracted > np.float32(0.5) * through and abs(surface[BEND] - _1) > STRAIGHT_ON
+
+
+@inlined
+def is_sheet(bends):
+    """Whether so many surfaces at which glass bends a ray (`bends_most`) leave one of its ends in glass: then a sheet without thickness is on its way, or a pool's surface.
+
+    What comes from all around shines through that as if it went straight: it is as bright beyond.  A lamp sends the square of the index as much light
+    to what lies out of the glass, and that part of it to what lies within, and no light beyond the critical angle.
+    """
+    return bends % 2 == 1
+
+
 @leaf
-def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near, t_far, kinds, kind, entered):
+def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near, t_far, kinds, kind, entered, lamp):
     """Transmittance (r, g, b) of the transparent triangles along one segment, and the share of it that passed no glass: -1 where a lens is in the way.
 
     For segments that the OPAQUE set does not block.  packet, rows, surface: scratch (`new_packet`,
     `new_registers`, (SURFACE,) float32); the packet's lanes stay as they are.  The segment begins where the light arrives.
     kinds: of rays, as bits, that what is in the way must be seen by.  kind: what the ray is to materials (see `evaluate_along`).
-    entered: solids of glass that the path has entered before.
+    entered: solids of glass that the path has entered before.  lamp: whether the light is a lamp's, to which a sheet (`is_sheet`) is a lens.
     """
     r = g = b = clear = _1
     x = y = z = _0
-    glasses = 0
+    glasses = bends = 0
+    owed = _1
     start = t_near
     for _ in range(MAX_PASSED):
         triangle, t, u, v = intersect1(scene.rays, CUTOUT, packet, ox, oy, oz, dx, dy, dz, start, t_far, kinds)
         if triangle < 0:
+            if lamp and is_sheet(bends):
+                return owed * r, owed * g, owed * b, -_1
             return r, g, b, -_1 if is_lens(glasses, x, y, z, dx, dy, dz) else clear
         nx, ny, nz, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, kind, entered, rows, surface)
+        out = lamp and behind and entered == 0
+        if out:  # as its front lets the lamp's light in
+            evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, kind, entered, rows, surface)
         r *= surface[TRANSPARENCY]
         g *= surface[TRANSPARENCY + 1]
         b *= surface[TRANSPARENCY + 2]
@@ -127,6 +152,14 @@ def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near,
         if refracted > _0:
             clear *= max(_0, _1 - refracted)
             glasses += 1
+            if lamp and bends_most(surface):
+                bends += 1
+                square = surface[BEND] * surface[BEND]
+                if out:
+                    owed = _1 / square
+                elif not behind:
+                    cosine = (nx * dx + ny * dy + nz * dz) ** 2 / (dx * dx + dy * dy + dz * dz)
+                    owed = square if square * (_1 - cosine) < _1 else _0
             entered = passed_glass(entered, behind)
             x, y, z = x + nx, y + ny, z + nz
         start = t + np.float32(1e-5) * abs(t)
@@ -159,7 +192,7 @@ def shadow_packet(scene, packet, rows, surface, count, kinds, cutouts, transmitt
                 scene, packet, rows, surface,
                 f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
                 f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane],
-                f[T_NEAR * WIDTH + lane], end[lane], kinds, DIFFUSE, OUTSIDE,
+                f[T_NEAR * WIDTH + lane], end[lane], kinds, DIFFUSE, OUTSIDE, False,
             )  # fmt: skip
 
 

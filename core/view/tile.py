@@ -28,7 +28,7 @@ from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import hash_key, to_unit, uniform
 from ..scene import CAMERA, COATED, FROSTED, GLOSSY, MIRRORING, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, TRANSMISSION, TRANSPARENT
 from ..surfaces.arithmetic import normalized
-from ..surfaces.bending import STRAIGHT_ON, bent, scattered
+from ..surfaces.bending import bent, scattered
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.covers import looks_covered
 from ..surfaces.frosted import joined_alpha
@@ -61,7 +61,7 @@ from ..surfaces.lobes import ALPHA, LOBE, lobe_cosine, sample_lobe, set_lobe
 from ..surfaces.microfacet import SMALLEST_ALPHA
 from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import evaluate, from_within, specular_view
-from ..surfaces.visibility import passed_glass
+from ..surfaces.visibility import STRAIGHT_ON, passed_glass
 from .camera import camera_ray, depth_along, pixel_sample
 from .lamps import lamps_between
 

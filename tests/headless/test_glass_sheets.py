@@ -16,7 +16,7 @@ from lumigate.core.pipeline import render
 from lumigate.core.settings import RenderSettings
 from lumigate.headless.cache import cached_halves
 
-from .test_direct_light import look, material, quad
+from .test_direct_light import lamp, look, material, quad
 from .test_glass import shader, slab
 
 SEEDS = 4
@@ -90,6 +90,25 @@ def test_light_through_a_sheet_is_as_cycles(over, method):
     halves = cached_halves(scene, identity, size=(16, 16), spp=1024, bounces=4, seed=1)
     arrays = extract_scene(scene, size=(16, 16))
     ours = [render(arrays, RenderSettings(seed=seed, denoise=False, method=method, direct_samples=32)).layers for seed in range(SEEDS)]
+    expected, mine = ([layers["DiffuseIndirect"].mean(dtype=float) for layers in some] for some in (halves, ours))
+    noise = abs(expected[0] - expected[1]) / 2 + np.std(mine, ddof=1) / math.sqrt(SEEDS)
+    assert abs(np.mean(mine) - np.mean(expected)) <= 0.05 * np.mean(expected) + 3 * noise
+
+
+@pytest.mark.parametrize("over", ["up", "down", "pane"])
+@pytest.mark.parametrize("aside", [0.0, 3.0], ids=["over", "aside"])
+def test_lamps_light_through_a_sheet_is_as_cycles(over, aside):
+    """A lamp sends the square of the index as much out of glass, and that part of it into glass; past the critical angle nothing leaves."""
+    scene = open_box(0.0)
+    ROOFS[over](scene)
+    lamp(scene, "AREA", (aside, 0.0, 4.0), (0.0, math.atan2(aside, 4.0), 0.0), size=0.5)
+    for ob in list(scene.collection.objects)[-2:]:
+        ob.visible_camera = False
+    look(scene, (0, 0, 0.9), (0, 0, 0), type="ORTHO", ortho_scale=1.6)
+    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "over": over, "aside": aside}
+    halves = cached_halves(scene, identity, size=(16, 16), spp=2048, bounces=4, seed=1)
+    arrays = extract_scene(scene, size=(16, 16))
+    ours = [render(arrays, RenderSettings(seed=seed, denoise=False)).layers for seed in range(SEEDS)]
     expected, mine = ([layers["DiffuseIndirect"].mean(dtype=float) for layers in some] for some in (halves, ours))
     noise = abs(expected[0] - expected[1]) / 2 + np.std(mine, ddof=1) / math.sqrt(SEEDS)
     assert abs(np.mean(mine) - np.mean(expected)) <= 0.05 * np.mean(expected) + 3 * noise
