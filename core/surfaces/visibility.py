@@ -19,7 +19,7 @@ from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_
 from ..rays.trace import ALL, COHERENT, CUTOUT, OPAQUE, intersect1, occluded_packet
 from ..sampling.hashing import uniform
 from ..scene import ANGLED, DIFFUSE, GLOSSY, REFRACTIVE, TRANSPARENT
-from .layout import BEND, REFRACTION, TRANSPARENCY, passing_chance
+from .layout import BEND, FROST, REFRACTION, TRANSPARENCY, passing_chance
 from .normals import sees_back, shading_normal
 from .program import MEAN_VIEW, evaluate, from_within, reflected_view, specular_view
 
@@ -102,10 +102,10 @@ def is_lens(glasses, x, y, z, dx, dy, dz):
 
 @inlined
 def bends_most(surface):
-    """Whether most of what a surface lets through is bent by glass."""
+    """Whether most of what a surface lets through is bent by clear glass; frosted glass is passed straight."""
     refracted = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
     through = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
-    return refracted > np.float32(0.5) * through and abs(surface[BEND] - _1) > STRAIGHT_ON
+    return refracted > np.float32(0.5) * through and abs(surface[BEND] - _1) > STRAIGHT_ON and not surface[FROST] > _0
 
 
 @inlined
