@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from .jit import kernel, leaf
 from .references import Reference
@@ -33,6 +34,9 @@ PART = np.float32(0.6)
 NOISE, NOISE_OF_FEW = np.float32(2.0), np.float32(4.0)
 WHOLE = np.float32(2.0)  # as rays are dealt: points that are half of what their pixel shows, or more, have all rays
 MOST_POINTS = 2_000_000  # that are kept of further passes
+# Side in pixels of the tiles that tell, with those around them, how noisy points are: where most light comes by few rays, those of a reach are alike
+# and too dark until one has found it.  That is no sign of a dark surface: seams of a wall were black smudges.
+TILE = 16
 LINES = 8  # of pixels a chunk
 LEAST_NUMBER = np.float32(1.5)  # of points that tell more than their noise
 # Columns of what is known of a point.
@@ -109,6 +113,17 @@ def _sort(light, share, ratio, begin, order, rows):
         row[FORESEEN], row[RAYS], row[WIDTH] = light.foreseen[i], min(WHOLE * share[i], _1), light.width[i]
 
 
+def _usual_noise(light: PointLight, order: np.ndarray, rows: np.ndarray, ratio: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Relative variance of a point's light about what the denoised picture says, for each tile with those around it: (H / TILE, W / TILE) float32."""
+    shape = -(-height // TILE), -(-width // TILE)
+    pixel = light.pixel[order]
+    tile = pixel // width // TILE * shape[1] + pixel % width // TILE
+    residual, expected = rows[:, RESIDUAL : RESIDUAL + 3].sum(axis=1), rows[:, FORESEEN] * ratio[pixel].sum(axis=1)
+    squares = [np.bincount(tile, rows[:, RAYS] * some * some, shape[0] * shape[1]).reshape(shape) for some in (residual, expected)]
+    found, whole = (uniform_filter(some, 3, mode="constant") for some in squares)
+    return np.divide(found, whole, out=np.zeros(shape), where=whole > 0).astype(np.float32)
+
+
 @leaf
 def _several(begin, width, height, x, y):
     """Whether the pixel, or one next to it, shows several surfaces."""
@@ -121,8 +136,8 @@ def _several(begin, width, height, x, y):
 
 
 @leaf
-def _mean_residual(begin, rows, ratio, width, height, x, y, p, noisier):
-    """The mean residual (r, g, b) of the points alike row p, in the pixel (x, y), by what is foreseen of them, shrunk by `noisier` times its noise."""
+def _mean_residual(begin, rows, ratio, usual, width, height, x, y, p, noisier):
+    """The mean residual (r, g, b) of the points alike row p, in the pixel (x, y), by what is foreseen of them, shrunk by `noisier` times its noise, which is at least the `usual` one where it is below none."""
     k = y * width + x
     g = ratio[k, 0] + ratio[k, 1] + ratio[k, 2]
     nx, ny, nz = rows[p, NORMAL], rows[p, NORMAL + 1], rows[p, NORMAL + 2]
@@ -160,12 +175,15 @@ def _mean_residual(begin, rows, ratio, width, height, x, y, p, noisier):
     if not number > LEAST_NUMBER or mean == _0:
         return _0, _0, _0
     noise = (squares - _2 * mean * crossed + mean * mean * foreseen2) / (whole * whole) * number / (number - _1)
-    part = PART * max(_0, _1 - noisier * noise / (mean * mean)) / whole
+    noise *= noisier
+    if mean < _0:
+        noise = max(noise, usual[y // TILE, x // TILE] * g * g / number)
+    part = PART * max(_0, _1 - noise / (mean * mean)) / whole
     return part * r0, part * r1, part * r2
 
 
 @kernel
-def _correct(light, begin, order, rows, ratio, width, height, top, bottom, scale, noisier, out):
+def _correct(light, begin, order, rows, ratio, usual, width, height, top, bottom, scale, noisier, out):
     """Adds what is given back to the rows top..bottom-1 of the picture `out` (H W, 3)."""
     for y in range(top, bottom):
         for x in range(width):
@@ -173,7 +191,7 @@ def _correct(light, begin, order, rows, ratio, width, height, top, bottom, scale
             if not _several(begin, width, height, x, y):
                 continue
             for p in range(begin[k], begin[k + 1]):
-                found = _mean_residual(begin, rows, ratio, width, height, x, y, p, noisier)
+                found = _mean_residual(begin, rows, ratio, usual, width, height, x, y, p, noisier)
                 for c in range(3):
                     given = max(found[c], -ratio[k, c])  # no light is below none
                     out[k, c] += scale * light.albedo[order[p], c] * rows[p, FORESEEN] * given
@@ -203,9 +221,10 @@ def give_back(clean: np.ndarray, foreseen: np.ndarray, lights: tuple[PointLight,
         rows, table = np.empty((len(share), ROW), np.float32), Reference(light)
         _sort(table, share, ratio, begin, order, rows)
         scale = np.float32(light.weight / whole) / pi
+        usual = _usual_noise(light, order[: begin[-1]], rows[: begin[-1]], ratio, height, width)
 
-        def work(top, bottom, table=table, begin=begin, order=order, rows=rows, scale=scale):
-            _correct(table, begin, order, rows, ratio, width, height, top, bottom, scale, noisier, out)
+        def work(top, bottom, table=table, begin=begin, order=order, rows=rows, usual=usual, scale=scale):
+            _correct(table, begin, order, rows, ratio, usual, width, height, top, bottom, scale, noisier, out)
 
         run_chunks(work, height, LINES, threads)
     return np.maximum(out, 0).reshape(clean.shape)
