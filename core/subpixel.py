@@ -4,7 +4,8 @@ A denoiser sees the mean of a pixel.  In foliage, mouldings and far detail it ta
 shading points know better: points nearby with about the same normal, in about the same plane, get about the same light.  The residual of a
 point is its light less what the denoised picture says of it, the denoised ratio of the pixel to what is foreseen times what is foreseen of
 the point (`methods.foreseen`).  Residuals are averaged over alike points, as far as the mean stands out from its own noise (James and
-Stein's estimator), and added: an order-two "twicing" (Tukey 1977) of the denoiser, of points instead of pixels.
+Stein's estimator; what would darken also from the noise of points around), and added: an order-two "twicing" (Tukey 1977) of the
+denoiser, of points instead of pixels.
 """
 
 from __future__ import annotations
@@ -137,7 +138,10 @@ def _several(begin, width, height, x, y):
 
 @leaf
 def _mean_residual(begin, rows, ratio, usual, width, height, x, y, p, noisier):
-    """The mean residual (r, g, b) of the points alike row p, in the pixel (x, y), by what is foreseen of them, shrunk by `noisier` times its noise, which is at least the `usual` one where it is below none."""
+    """The mean residual (r, g, b) of the points alike row p, in the pixel (x, y), by what is foreseen of them, shrunk by `noisier` times its noise.
+
+    usual: of `_usual_noise`, the least noise of a negative mean.
+    """
     k = y * width + x
     g = ratio[k, 0] + ratio[k, 1] + ratio[k, 2]
     nx, ny, nz = rows[p, NORMAL], rows[p, NORMAL + 1], rows[p, NORMAL + 2]

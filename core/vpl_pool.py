@@ -178,7 +178,7 @@ def vpl_pool(
     share: vpls -> the part of each one's light (M,) that is wanted (None: all of it).
     batches: of particles, at most.  particles: traces them, or knows them already; they may be changed here.
     beyond: (N, 3), where else than at the points the light is wanted.
-    enough: times the usual number of lights that matter, after which no more than `FEWEST_BATCHES` of particles are flown.
+    enough: part of the usual number of lights that must matter, once `FEWEST_BATCHES` of particles have flown.
     kept: above 1, more of the lights of as many particles: for whoever looks at a part of the pool at each point.
 
     Returns:
