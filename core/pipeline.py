@@ -193,7 +193,7 @@ def _render(
                 denoiser, threads, direct=direct, indirect=not passes.as_it_is, quality=quality, few=few, clean=clean
             )
             foreseen = run.planner.denoising_seconds(quality) if run.planner.machine else 0.0
-        if run.seconds["denoise"] < TOO_SLOW * foreseen:
+        if run.planner.machine and run.seconds["denoise"] < TOO_SLOW * foreseen:
             with _calibration(run):  # for the budgets to come
                 look_again(run.planner.machine)
         if passes.as_it_is:
