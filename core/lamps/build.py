@@ -54,6 +54,7 @@ from .tables import (
     NOMINAL,
     NORMAL,
     ONE_MINUS_COS,
+    PLANE,
     POSITION,
     PROGRAM,
     RADIUS,
@@ -155,6 +156,7 @@ def _lamps(scene: Scene, ray_kind: int, box: np.ndarray, threads: int = 0, shini
     bounds[:, COS_O] = np.where(area | spot, 1.0, -1.0)
     bounds[:, COS_E] = np.where(area, np.where(full, 0.0, np.cos(half)), np.where(spot, cos_outer, 0.0))
     bounds[:, ENERGY] = emission.mean(1) * np.where(area, shape_area, 1.0) * nominal
+    bounds[:, PLANE] = np.where(area, np.einsum("nc,nc->n", position, bounds[:, AXIS : AXIS + 3]), -np.inf)
 
     table = np.zeros((len(keep), LAMP), f)
     table[:, POSITION : POSITION + 3] = position
@@ -221,7 +223,7 @@ def _mesh(scene: Scene, ray_kind: int, shining: int, threads: int):
     bounds = np.zeros((len(triangle), COLUMNS))
     bounds[:, LOWER : LOWER + 3], bounds[:, UPPER : UPPER + 3] = corners.min(1), corners.max(1)
     bounds[:, AXIS : AXIS + 3] = normal
-    bounds[:, COS_O], bounds[:, TWO_SIDED] = 1.0, 1.0
+    bounds[:, COS_O], bounds[:, TWO_SIDED], bounds[:, PLANE] = 1.0, 1.0, -np.inf
     bounds[:, ENERGY] = radiance.mean(1) * area
     table = np.zeros((len(triangle), SHAPE), f)
     table[:, CORNERS : CORNERS + 9], table[:, NORMAL : NORMAL + 3], table[:, AREA_M2] = corners.reshape(-1, 9), normal, area

@@ -37,8 +37,9 @@ PROGRAM, PER_MEAN, MAP, LAMP = 24, 25, 26, 27
 CORNERS, NORMAL, AREA_M2, SHAPE = 0, 9, 12, 13
 
 # Columns of `LightTree.nodes`: box, unit axis and cosine of the cone of the directions in which the emitters face,
-# cosine of how far from these they shine, radiant intensity along the axis (mean of the channels).
-LOWER, UPPER, AXIS, COS_O, COS_E, ENERGY, NODE = 0, 3, 6, 9, 10, 11, 12
+# cosine of how far from these they shine, radiant intensity along the axis (mean of the channels), and where all are flat and face
+# the same way how far along the axis (m) the first of them lies, behind which nothing is lit: -inf else.
+LOWER, UPPER, AXIS, COS_O, COS_E, ENERGY, PLANE, NODE = 0, 3, 6, 9, 10, 11, 12, 13
 
 
 class WorldTable(NamedTuple):

@@ -11,11 +11,12 @@ import math
 import numpy as np
 
 from ..jit import inlined, leaf
-from .tables import AXIS, COS_E, COS_O, ENERGY, LOWER, UPPER
+from .tables import AXIS, COS_E, COS_O, ENERGY, LOWER, PLANE, UPPER
 
 CUT = 32  # nodes of a point's cut through the tree
 CANDIDATES = 3
 _FINE = np.float32(64.0)  # nodes above this fraction of the total are opened
+_ROUNDING = np.float32(1e-6)  # of a coordinate: on a plane, to so much of it, no light arrives that counts
 
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -40,9 +41,16 @@ def importance(nodes, two_sided, node, px, py, pz, nx, ny, nz):
 @leaf
 def importance_around(nodes, two_sided, node, px, py, pz, around, nx, ny, nz):
     """The same for a point that may lie up to `around` (m) beside p; 0 only if the node can send nothing to any of these."""
+    # Beside a lamp that hangs from it the ceiling is within its bounding sphere, but wholly behind it.
+    beyond = _ROUNDING * (abs(px) + abs(py) + abs(pz)) - around
+    ax, ay, az = nodes[node, AXIS], nodes[node, AXIS + 1], nodes[node, AXIS + 2]
+    if px * ax + py * ay + pz * az - nodes[node, PLANE] <= beyond:
+        return _0
     lx, ly, lz = nodes[node, LOWER], nodes[node, LOWER + 1], nodes[node, LOWER + 2]
     ux, uy, uz = nodes[node, UPPER], nodes[node, UPPER + 1], nodes[node, UPPER + 2]
     vx, vy, vz = _HALF * (lx + ux) - px, _HALF * (ly + uy) - py, _HALF * (lz + uz) - pz
+    if vx * nx + vy * ny + vz * nz + _HALF * ((ux - lx) * abs(nx) + (uy - ly) * abs(ny) + (uz - lz) * abs(nz)) <= beyond:
+        return _0
     r2 = np.float32(0.25) * ((ux - lx) ** 2 + (uy - ly) ** 2 + (uz - lz) ** 2)
     if around > _0:
         r2 = (np.float32(math.sqrt(r2)) + around) ** 2
@@ -54,7 +62,7 @@ def importance_around(nodes, two_sided, node, px, py, pz, around, nx, ny, nz):
     cos_i = _cos_less((vx * nx + vy * ny + vz * nz) * inverse, cos_u)
     if cos_i <= _0:
         return _0
-    cosine = -(vx * nodes[node, AXIS] + vy * nodes[node, AXIS + 1] + vz * nodes[node, AXIS + 2]) * inverse
+    cosine = -(vx * ax + vy * ay + vz * az) * inverse
     if two_sided[node]:
         cosine = abs(cosine)
     cosine = _cos_less(_cos_less(cosine, nodes[node, COS_O]), cos_u)

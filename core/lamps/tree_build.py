@@ -10,13 +10,14 @@ import math
 import numpy as np
 
 from ..jit import kernel
-from .tables import AXIS, COS_E, COS_O, ENERGY, LOWER, NODE, UPPER, LightTree
+from .tables import AXIS, COS_E, COS_O, ENERGY, LOWER, NODE, PLANE, UPPER, LightTree
 
 # Rows of bounds, float64: the columns of `LightTree.nodes` and one more.
 TWO_SIDED, COLUMNS = NODE, NODE + 1
 
 _BINS = 12
 _CUT = 16
+_ALIKE = 1 - 1e-12  # cosine between the axes of lamps that face the same way
 
 
 @kernel(fast=False)
@@ -59,6 +60,8 @@ def merge(total, row):
         total[LOWER + j] = min(total[LOWER + j], row[LOWER + j])
         total[UPPER + j] = max(total[UPPER + j], row[UPPER + j])
     bx, by, bz = row[AXIS], row[AXIS + 1], row[AXIS + 2]
+    alike = total[AXIS] * bx + total[AXIS + 1] * by + total[AXIS + 2] * bz > _ALIKE
+    total[PLANE] = min(total[PLANE], row[PLANE]) if alike else -np.inf
     if total[TWO_SIDED] > 0.0 and row[TWO_SIDED] > 0.0:
         flip = -1.0 if total[AXIS] * bx + total[AXIS + 1] * by + total[AXIS + 2] * bz < 0.0 else 1.0
         _merge_cones(total, flip * bx, flip * by, flip * bz, row[COS_O])
