@@ -27,14 +27,17 @@ from ..scene import (
 from ..surfaces.batch import evaluate_batch
 from ..surfaces.closures import REFLECTED
 from ..surfaces.layout import EMISSION
+from .closed import outward
 from .emission import shares
 from .groups import LightGroups
 from .links import is_parted, object_links, receiver_sets, shadow_kinds
 from .sharp import small_lamps
 from .tables import (
+    AGAINST,
     AREA_M2,
     AXIS,
     AXIS_X,
+    BACK_OUT,
     CASTS_SHADOW,
     CORNERS,
     COS_E,
@@ -45,8 +48,10 @@ from .tables import (
     ENERGY,
     EXPONENT,
     FADING,
+    FRONT_OUT,
     GLOSSY_ONLY,
     HALF_SPREAD,
+    INWARDS,
     LAMP,
     LINKED,
     LOWER,
@@ -222,13 +227,16 @@ def _mesh(scene: Scene, ray_kind: int, shining: int, threads: int):
 
     bounds = np.zeros((len(triangle), COLUMNS))
     bounds[:, LOWER : LOWER + 3], bounds[:, UPPER : UPPER + 3] = corners.min(1), corners.max(1)
-    bounds[:, AXIS : AXIS + 3] = normal
-    bounds[:, COS_O], bounds[:, TWO_SIDED], bounds[:, PLANE] = 1.0, 1.0, -np.inf
+    side = outward(scene, triangle)
+    bounds[:, AXIS : AXIS + 3] = np.where(side, side, 1)[:, None] * normal
+    bounds[:, PLANE] = np.where(side, np.einsum("nkc,nc->nk", corners, bounds[:, AXIS : AXIS + 3]).min(1), -np.inf)
+    bounds[:, COS_O], bounds[:, TWO_SIDED], bounds[:, AGAINST] = 1.0, side == 0, np.where(side, INWARDS, 0)
     bounds[:, ENERGY] = radiance.mean(1) * area
     table = np.zeros((len(triangle), SHAPE), f)
     table[:, CORNERS : CORNERS + 9], table[:, NORMAL : NORMAL + 3], table[:, AREA_M2] = corners.reshape(-1, 9), normal, area
     flags = CASTS_SHADOW + TEXTURED * textured + SEEN_BY_GLOSSY * ((g.object_visibility[g.object[triangle]] & GLOSSY) > 0)
     flags = flags + GLOSSY_ONLY * ((g.object_visibility[g.object[triangle]] & ray_kind) == 0)
+    flags = flags + FRONT_OUT * (side > 0) + BACK_OUT * (side < 0)
     return triangle, material, flags, radiance, radiance * (2 * np.pi * area)[:, None], bounds, table
 
 

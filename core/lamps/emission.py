@@ -23,11 +23,14 @@ from .tables import (
     AXIS_X,
     AXIS_Y,
     AXIS_Z,
+    BACK_OUT,
     COS_INNER,
     COS_OUTER,
     ELLIPTIC,
+    FRONT_OUT,
     GLOSSY_ONLY,
     HALF_SPREAD,
+    INWARDS,
     NORMAL,
     ONE_MINUS_COS,
     POSITION,
@@ -356,15 +359,19 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
         u, v = uniform_triangle(u1, u2)
         x, y, z, nx, ny, nz, error = hit_point(emitters.vertices, emitters.triangles, emitters.triangle[i], u, v)
         dx, dy, dz, cone, u3 = _aim_at(emitters.aim, x, y, z, _0, u3, u4)
+        forwards = _HALF
+        if emitters.flags[e] & (FRONT_OUT | BACK_OUT):
+            forwards = (_1 if emitters.flags[e] & FRONT_OUT else INWARDS) / (_1 + INWARDS)
         if dx != _0 or dy != _0 or dz != _0:
             lz = shapes[i, NORMAL] * dx + shapes[i, NORMAL + 1] * dy + shapes[i, NORMAL + 2] * dz
             side, lz = _1 if lz >= _0 else -_1, abs(lz)
         else:
-            front = u3 < _HALF
-            lx, ly, lz = cosine_hemisphere(u3 * _2 if front else u3 * _2 - _1, u4)
+            front = u3 < forwards
+            lx, ly, lz = cosine_hemisphere(u3 / forwards if front else (u3 - forwards) / (_1 - forwards), u4)
             side = _1 if front else -_1
             dx, dy, dz = to_world(lx, ly, lz, side * shapes[i, NORMAL], side * shapes[i, NORMAL + 1], side * shapes[i, NORMAL + 2])
-        w *= _aimed_weight(emitters.aim, x, y, z, _0, cone, lz / _2PI, dx, dy, dz)
+        chance = forwards if side > _0 else _1 - forwards
+        w *= _HALF / chance * _aimed_weight(emitters.aim, x, y, z, _0, cone, chance * lz / _PI, dx, dy, dz)
         x, y, z = offset_origin(x, y, z, nx, ny, nz, error, dx, dy, dz)
         if emitters.flags[e] & TEXTURED:
             triangle, material = emitters.triangle[i], emitters.material[i]
@@ -410,7 +417,8 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
 
 def shares(flux: np.ndarray, flags: np.ndarray) -> np.ndarray:
     """(E,) shares of the particles of emitters with the flux (E, 3) W, up to a factor."""
-    return flux.mean(axis=1) * np.where(flags & GLOSSY_ONLY, GLOSSY_SHARE, 1)
+    outwards = np.where(flags & (FRONT_OUT | BACK_OUT), 0.5 * (1 + INWARDS), 1)  # of the flux of both sides
+    return flux.mean(axis=1) * outwards * np.where(flags & GLOSSY_ONLY, GLOSSY_SHARE, 1)
 
 
 def focused(emitters: Emitters, places: np.ndarray) -> Emitters:

@@ -18,9 +18,11 @@ WORLD, TRIANGLE = 4, 5
 # Bits of `Emitters.flags`: casts shadows; a disk that faces the point it lights instead of a sphere; an ellipse
 # instead of a rectangle; a triangle or a lamp whose radiance varies; visible to glossy rays, to the camera (lamps only), and to it
 # through glass (lamps only); so small, and one of so few, that it has `highlights` of its own; a
-# lamp with a falloff of its own; lights some objects only; shines on what is glossy alone, for diffuse rays do not see it.
+# lamp with a falloff of its own; lights some objects only; shines on what is glossy alone, for diffuse rays do not see it; a
+# triangle whose front, or whose back, is the outside of a closed body (see `closed`).
 CASTS_SHADOW, SOFT, ELLIPTIC, TEXTURED, SEEN_BY_GLOSSY, SEEN_BY_CAMERA, SEEN_THROUGH_GLASS, SHARP, FADING = 1, 2, 4, 8, 16, 32, 64, 128, 256
-LINKED, GLOSSY_ONLY = 512, 1024
+LINKED, GLOSSY_ONLY, FRONT_OUT, BACK_OUT = 512, 1024, 2048, 4096
+INWARDS = np.float32(1 / 32)  # share of the samples that the inside of a closed body gets, of what its outside gets
 
 # Columns of `Emitters.lamps`: xyz of position (m) and of the unit axes, shining along -z; radius (m); cosines where a
 # spot's smooth edge begins and where it is full; 1 - cos of a sun's half angle; full widths (m), half spread (rad) and
@@ -38,8 +40,9 @@ CORNERS, NORMAL, AREA_M2, SHAPE = 0, 9, 12, 13
 
 # Columns of `LightTree.nodes`: box, unit axis and cosine of the cone of the directions in which the emitters face,
 # cosine of how far from these they shine, radiant intensity along the axis (mean of the channels), and where all are flat and face
-# the same way how far along the axis (m) the first of them lies, behind which nothing is lit: -inf else.
-LOWER, UPPER, AXIS, COS_O, COS_E, ENERGY, PLANE, NODE = 0, 3, 6, 9, 10, 11, 12, 13
+# the same way how far along the axis (m) the first of them lies, behind which nothing is lit: -inf else; what counts of light that
+# leaves against the axis, as of the insides of closed bodies.
+LOWER, UPPER, AXIS, COS_O, COS_E, ENERGY, PLANE, AGAINST, NODE = 0, 3, 6, 9, 10, 11, 12, 13, 14
 
 
 class WorldTable(NamedTuple):

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ..jit import inlined, leaf
-from .tables import AXIS, COS_E, COS_O, ENERGY, LOWER, PLANE, UPPER
+from .tables import AGAINST, AXIS, COS_E, COS_O, ENERGY, LOWER, PLANE, UPPER
 
 CUT = 32  # nodes of a point's cut through the tree
 CANDIDATES = 3
@@ -32,6 +32,14 @@ def _cos_less(cos_a, cos_b):
     return cos_a * cos_b + sines
 
 
+@inlined
+def _sent(nodes, node, cosine, cos_u):
+    """Bound of the cosine at which light leaves a node at `cosine` from its axis, seen within a cone of `cos_u`; 0 where none can."""
+    cosine = _cos_less(_cos_less(cosine, nodes[node, COS_O]), cos_u)
+    # A little slack: the cone's edge must not fall to rounding.
+    return max(cosine, np.float32(1e-3)) if cosine >= nodes[node, COS_E] - np.float32(1e-4) else _0
+
+
 @leaf
 def importance(nodes, two_sided, node, px, py, pz, nx, ny, nz):
     """Estimate of the irradiance (mean of the channels) that a node can send to p with normal n; 0 if it cannot."""
@@ -44,7 +52,9 @@ def importance_around(nodes, two_sided, node, px, py, pz, around, nx, ny, nz):
     # Beside a lamp that hangs from it the ceiling is within its bounding sphere, but wholly behind it.
     beyond = _ROUNDING * (abs(px) + abs(py) + abs(pz)) - around
     ax, ay, az = nodes[node, AXIS], nodes[node, AXIS + 1], nodes[node, AXIS + 2]
-    if px * ax + py * ay + pz * az - nodes[node, PLANE] <= beyond:
+    behind = px * ax + py * ay + pz * az - nodes[node, PLANE] <= beyond
+    against = nodes[node, AGAINST]
+    if behind and not against > _0:
         return _0
     lx, ly, lz = nodes[node, LOWER], nodes[node, LOWER + 1], nodes[node, LOWER + 2]
     ux, uy, uz = nodes[node, UPPER], nodes[node, UPPER + 1], nodes[node, UPPER + 2]
@@ -56,7 +66,7 @@ def importance_around(nodes, two_sided, node, px, py, pz, around, nx, ny, nz):
         r2 = (np.float32(math.sqrt(r2)) + around) ** 2
     d2 = vx * vx + vy * vy + vz * vz
     if d2 <= r2 * np.float32(1.0001):  # within the bounding sphere anything is possible
-        return nodes[node, ENERGY] / max(r2, np.float32(1e-12))
+        return (against if behind else _1) * nodes[node, ENERGY] / max(r2, np.float32(1e-12))
     inverse = _1 / np.float32(math.sqrt(d2))
     cos_u = np.float32(math.sqrt(_1 - r2 / d2))
     cos_i = _cos_less((vx * nx + vy * ny + vz * nz) * inverse, cos_u)
@@ -65,11 +75,10 @@ def importance_around(nodes, two_sided, node, px, py, pz, around, nx, ny, nz):
     cosine = -(vx * ax + vy * ay + vz * az) * inverse
     if two_sided[node]:
         cosine = abs(cosine)
-    cosine = _cos_less(_cos_less(cosine, nodes[node, COS_O]), cos_u)
-    # A little slack: the cone's edge must not fall to rounding.
-    if cosine < nodes[node, COS_E] - np.float32(1e-4):
-        return _0
-    return nodes[node, ENERGY] * cos_i * max(cosine, np.float32(1e-3)) / d2
+    sent = _0 if behind else _sent(nodes, node, cosine, cos_u)
+    if against > _0:
+        sent = max(sent, against * _sent(nodes, node, -cosine, cos_u))
+    return nodes[node, ENERGY] * cos_i * sent / d2
 
 
 @leaf

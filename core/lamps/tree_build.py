@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from ..jit import kernel
-from .tables import AXIS, COS_E, COS_O, ENERGY, LOWER, NODE, PLANE, UPPER, LightTree
+from .tables import AGAINST, AXIS, COS_E, COS_O, ENERGY, LOWER, NODE, PLANE, UPPER, LightTree
 
 # Rows of bounds, float64: the columns of `LightTree.nodes` and one more.
 TWO_SIDED, COLUMNS = NODE, NODE + 1
@@ -70,6 +70,7 @@ def merge(total, row):
         total[TWO_SIDED] = 0.0
     else:
         _merge_cones(total, bx, by, bz, row[COS_O])
+    total[AGAINST] = max(total[AGAINST], row[AGAINST])
     total[COS_E] = min(total[COS_E], row[COS_E])
     total[ENERGY] += row[ENERGY]
 

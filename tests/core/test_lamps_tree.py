@@ -6,12 +6,12 @@ import numpy as np
 
 from lumigate.core.jit import kernel
 from lumigate.core.lamps import tree_build as tb
-from lumigate.core.lamps.tables import AXIS, COS_E, COS_O, ENERGY, LOWER, UPPER
+from lumigate.core.lamps.tables import AGAINST, AXIS, COS_E, COS_O, ENERGY, LOWER, PLANE, UPPER
 from lumigate.core.lamps.tree import CUT, choose, cut_estimate, cut_for, descend, importance
 
 
 def random_bounds(n, seed=0, spread=4.0):
-    """Rows of n emitters: a third points, a third one-sided, a third two-sided; a few without extent."""
+    """Rows of n emitters: a third points, a third one-sided, some of these a little of the other side, too, a third two-sided; a few without extent."""
     rng = np.random.default_rng(seed)
     rows = np.zeros((n, tb.COLUMNS))
     centre = rng.uniform(-spread, spread, (n, 3))
@@ -23,6 +23,10 @@ def random_bounds(n, seed=0, spread=4.0):
     rows[:, COS_E] = np.where(np.arange(n) % 2, 0.0, math.cos(0.6))
     rows[:, ENERGY] = rng.lognormal(size=n)
     rows[:, tb.TWO_SIDED] = np.arange(n) % 3 == 2
+    one_sided = np.arange(n) % 3 == 1
+    rows[:, AGAINST] = np.where(one_sided & (np.arange(n) % 2 == 1), 0.1, 0.0)
+    first = ((centre * rows[:, AXIS : AXIS + 3]) - extent * np.abs(rows[:, AXIS : AXIS + 3])).sum(1)
+    rows[:, PLANE] = np.where(one_sided, first, -np.inf)
     return rows
 
 
@@ -66,16 +70,21 @@ def exact(tree, node, p, n):
     centre, half = 0.5 * (row[LOWER : LOWER + 3] + row[UPPER : UPPER + 3]), 0.5 * (row[UPPER : UPPER + 3] - row[LOWER : LOWER + 3])
     radius, v = np.linalg.norm(half), centre - p
     d = np.linalg.norm(v)
+    ahead = p @ row[AXIS : AXIS + 3] > row[PLANE]
+    if v @ n + half @ np.abs(n) <= 0:
+        return 0.0
     if d <= radius:
-        return row[ENERGY] / radius**2
+        return (1.0 if ahead else row[AGAINST]) * row[ENERGY] / radius**2
     theta_u = math.asin(radius / d)
     theta_i = max(0.0, math.acos(np.clip(v @ n / d, -1, 1)) - theta_u)
     cosine = -v @ row[AXIS : AXIS + 3] / d
     cosine = abs(cosine) if tree.two_sided[node] else cosine
-    theta = max(0.0, math.acos(np.clip(cosine, -1, 1)) - math.acos(np.clip(row[COS_O], -1, 1)) - theta_u)
-    if theta_i >= math.pi / 2 or math.cos(theta) < row[COS_E] - 1e-4:
-        return 0.0
-    return row[ENERGY] * math.cos(theta_i) * max(math.cos(theta), 1e-3) / d**2
+    sent = 0.0
+    for share, side in ((ahead, 1), (row[AGAINST], -1)):
+        theta = max(0.0, math.acos(np.clip(side * cosine, -1, 1)) - math.acos(np.clip(row[COS_O], -1, 1)) - theta_u)
+        if math.cos(theta) >= row[COS_E] - 1e-4:
+            sent = max(sent, share * max(math.cos(theta), 1e-3))
+    return row[ENERGY] * math.cos(theta_i) * sent / d**2 if theta_i < math.pi / 2 else 0.0
 
 
 def places(count, seed=1):
