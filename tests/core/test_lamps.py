@@ -221,16 +221,14 @@ def test_light_below_either_horizon_gives_nothing():
     assert one([[0, 0, 1]], normal=(1, 0, 0), ng=(1, 0, 0)).all()
 
 
-def test_lamps_get_no_rays_where_they_cannot_shine():
-    """A ceiling beside a lamp that hangs from it lies within what bounds the lamp, but behind it; a floor lamp is below the horizon of a skirting."""
+def test_lamps_that_face_away_get_no_rays_however_near():
+    """A ceiling beside a lamp that hangs from it lies within the sphere about the lamp, but behind it."""
     far = lamp(sc.POINT, 40, (1.5, 0, 2))
     near = lamp(sc.AREA, 10, (0, 0, -0.005), towards=(0, 0, -1), size=(0.3, 0.3))
-    p = [[0.02, 0.01, 0.0], [0.2, 0.1, 0.0]]
+    places = [[0.02, 0.01, 0.0], [0.2, 0.1, 0.0]]
     alone, both = lit(far, quad=(AWAY,)), lit(near, far, quad=(AWAY,))
-    for normal in (UP, (0, 0, 1)):
-        expected = alone(p, samples=64, normal=normal)
-        found = both(p, samples=2, normal=normal)
-        np.testing.assert_allclose(found, expected, rtol=1e-4)  # every ray flies to the far lamp, which has no size
+    # The far lamp has no size: were the one ray there is not always its own, the light would vary.
+    np.testing.assert_allclose(both(places, samples=1), alone(places, samples=1), rtol=1e-4)
 
 
 def test_what_is_left_out():
