@@ -35,7 +35,7 @@ from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.sequences import sobol
 from ..scene import CONSTANT, EMISSIVE, GLOSSY, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT
-from ..surfaces.bending import nearest_reflected
+from ..surfaces.bending import ALONG, BEGIN, END, ORIGIN, PART, PARTS, WEIGHT, nearest_reflected
 from ..surfaces.brushed import is_brushed
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.by_view import at_view
@@ -165,20 +165,21 @@ def _lamps_along(
 
 
 @leaf
-def _lamps_beyond(scene, rows, surface, on, x, y, z, dx, dy, dz, reach, wr, wg, wb, by_glass, i):
-    """Adds the radiance of the lamps nearer than `reach` along d, which a lens has turned towards a point of the triangle `on`, weighed by w, to row i of `by_glass`."""
+def _lamps_beyond(scene, rows, surface, on, part, wr, wg, wb, by_glass, i):
+    """Adds the radiance of the lamps on a `part` of a way (see `nearest_reflected`) to a point of the triangle `on`, weighed by w, to row i of `by_glass`."""
     emitters = scene.emitters
+    x, y, z, dx, dy, dz = part[ORIGIN], part[ORIGIN + 1], part[ORIGIN + 2], part[ALONG], part[ALONG + 1], part[ALONG + 2]
     for e in range(len(emitters.source)):
         if not emitters.flags[e] & SEEN_BY_GLOSSY:
             continue
         t, w = lamp_along(emitters, e, x, y, z, dx, dy, dz)
-        if not w > _0 or not t < reach or not lights(emitters, e, scene.object, on):
+        if not w > _0 or not part[BEGIN] <= t < part[END] or not lights(emitters, e, scene.object, on):
             continue
         r, g, b = _radiance_along(emitters, e, rows, surface, x, y, z, dx, dy, dz, t)
         c = 3 * emitters.light_group[e]
-        by_glass[i, c] += w * wr * r
-        by_glass[i, c + 1] += w * wg * g
-        by_glass[i, c + 2] += w * wb * b
+        by_glass[i, c] += w * wr * part[WEIGHT] * r
+        by_glass[i, c + 1] += w * wg * part[WEIGHT + 1] * g
+        by_glass[i, c + 2] += w * wb * part[WEIGHT + 2] * b
 
 
 @kernel
@@ -203,8 +204,9 @@ def _reflect_chunk(
     emitters = scene.emitters
     packet = new_packet()
     rows = new_registers(scene.materials)
-    surface = np.zeros(SURFACE, np.float32)
+    surface, lamp = np.zeros(SURFACE, np.float32), np.zeros(SURFACE, np.float32)
     lobe, another = np.zeros(LOBE, np.float32), np.zeros(LOBE, np.float32)
+    parts = np.empty((PARTS, PART), np.float32)
     groups = len(emitters.groups)
     estimate, count, expected = np.empty(groups, np.float32), np.empty(groups, np.int32), np.empty(groups, np.float32)
     shining = len(emitters.source)
@@ -249,13 +251,14 @@ def _reflect_chunk(
                 )  # fmt: skip
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
             # What wide lobes find straight rays find, too: both must go the same way.
-            triangle, u, v, t, tr, tg, tb, unbroken, inside, by_lens, ox, oy, oz, ex, ey, ez, before = nearest_reflected(
-                scene, packet, rows, surface, not wide, ox, oy, oz, dx, dy, dz, key, index, 0, entered
+            triangle, u, v, t, tr, tg, tb, unbroken, inside, by_lens, ex, ey, ez, n_parts = nearest_reflected(
+                scene, packet, rows, surface, not wide, lit[i] == WHOLE, ox, oy, oz, dx, dy, dz, key, index, 0, entered, parts
             )
+            if lit[i] and not (wide or aside):
+                for k in range(n_parts):
+                    _lamps_beyond(scene, rows, lamp, points.triangle[i], parts[k], wr, wg, wb, known, i)
             wr, wg, wb = wr * tr, wg * tg, wb * tb
             alone = lit[i] == WHOLE or by_lens > 0
-            if alone and lit[i] and not (wide or aside):
-                _lamps_beyond(scene, rows, surface, points.triangle[i], ox, oy, oz, ex, ey, ez, t - before, wr, wg, wb, known, i)
             if triangle < 0:
                 if world and lit[i]:
                     share = _1

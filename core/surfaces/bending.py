@@ -18,6 +18,10 @@ from .lobes import sample_lobe, set_lobe
 from .normals import mapped_normal, sees_back, shading_normal
 from .visibility import MAX_PASSED, OUTSIDE, STRAIGHT_ON, bends_most, evaluate_along, is_lens, is_sheet, passed_glass
 
+# Columns of the straight parts of a way (`nearest_reflected`): origin, direction, where along it the part begins and ends (m), and what weighs light
+# that is met there.  PARTS: of a way at most.
+ORIGIN, ALONG, BEGIN, END, WEIGHT, PART = 0, 3, 6, 7, 8, 11
+PARTS = 16
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -66,24 +70,33 @@ def bent(materials, geometry, material, triangle, u, v, dx, dy, dz, surface):
 
 
 @leaf
-def nearest_reflected(scene, packet, rows, surface, bends, ox, oy, oz, dx, dy, dz, seed, path, dimension, entered):
+def nearest_reflected(scene, packet, rows, surface, bends, whole, ox, oy, oz, dx, dy, dz, seed, path, dimension, entered, parts):
     """`nearest_surface` to a ray from a glossy lobe, which clear glass turns where it `bends`: what a polished table shows of a bottle.
 
+    parts: (PARTS, PART) float32, where what lies between two surfaces is written, beyond lenses and sheets, or all of it if `whole`.  Of what shines there and hides
+    nothing all must be counted, by the weight of the way so far: whether the way ends or passes at the next surface has no say in it.
     Returns what that does, t being the length of the whole way (m), and then whether a lens is on it, beyond which no shadow ray finds anything (2), or a sheet,
-    beyond which none finds lamps (1; 0 for neither), origin and
-    direction of its last part, and the length of what comes before (m).  Bent by Snell's law, as `bent` has it; frosted glass is passed straight.
+    beyond which none finds lamps (1; 0 for neither), the direction of its last part, and the number of parts.  Bent by Snell's law, as `bent` has it; frosted glass
+    is passed straight.
     """
     r = g = b = clear = _1
     ex, ey, ez = dx, dy, dz
     start = before = x = y = z = _0
-    glasses = sheets = 0
+    glasses = sheets = n_parts = 0
     for layer in range(MAX_PASSED):
         triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, ex, ey, ez, start, np.float32(np.inf), GLOSSY)
         turned = np.int64(1) if is_sheet(sheets) else np.int64(0)
         if is_lens(glasses, x, y, z, dx, dy, dz):
             turned = np.int64(2)
+        if (whole or turned > 0) and n_parts < PARTS:
+            part = parts[n_parts]
+            part[ORIGIN], part[ORIGIN + 1], part[ORIGIN + 2] = ox, oy, oz
+            part[ALONG], part[ALONG + 1], part[ALONG + 2] = ex, ey, ez
+            part[BEGIN], part[END] = start, t if triangle >= 0 else np.float32(np.inf)
+            part[WEIGHT], part[WEIGHT + 1], part[WEIGHT + 2] = r, g, b
+            n_parts += 1
         if triangle < 0:
-            return -1, _0, _0, np.float32(np.inf), r, g, b, clear, entered, turned, ox, oy, oz, ex, ey, ez, before
+            return -1, _0, _0, np.float32(np.inf), r, g, b, clear, entered, turned, ex, ey, ez, n_parts
         evaluate_along(scene, triangle, u, v, ex, ey, ez, GLOSSY, entered, rows, surface)
         flags = scene.materials.flags[scene.material[triangle]]
         behind = flags & REFRACTIVE != 0 and sees_back(scene.vertices, scene.triangles, triangle, ex, ey, ez)
@@ -94,7 +107,7 @@ def nearest_reflected(scene, packet, rows, surface, bends, ox, oy, oz, dx, dy, d
             chance = through / (through + largest_kept(surface)) if through > _0 else _0
         if uniform(seed, path, dimension, layer) >= chance:
             rest = _1 / (_1 - chance)
-            return triangle, u, v, before + t, r * rest, g * rest, b * rest, clear, within, turned, ox, oy, oz, ex, ey, ez, before
+            return triangle, u, v, before + t, r * rest, g * rest, b * rest, clear, within, turned, ex, ey, ez, n_parts
         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
         r, g, b = r * tr / chance, g * tg / chance, b * tb / chance
         start = t + np.float32(1e-5) * abs(t)
@@ -114,4 +127,4 @@ def nearest_reflected(scene, packet, rows, surface, bends, ox, oy, oz, dx, dy, d
             before, start = before + t, _0
         else:
             entered = passed_glass(entered, behind)
-    return -1, _0, _0, np.float32(np.inf), _0, _0, _0, clear, entered, np.int64(0), ox, oy, oz, ex, ey, ez, before
+    return -1, _0, _0, np.float32(np.inf), _0, _0, _0, clear, entered, np.int64(0), ex, ey, ez, n_parts

@@ -108,6 +108,9 @@ MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY, G_THROUGH, G_FROST,
 _GOLDEN = np.uint32(2654435769)  # 2^32 over the golden ratio
 FINEST = np.float32(1e-3)  # shares of the samples below which what is left of their choice has too few bits
 FAINT = np.float32(1e-12)  # albedo of which no share can be told
+# Times the thickness of the frosted glass that a sample has passed: what is so far behind it lies beyond a hollow, in which the lamp of a shade hangs.
+HOLLOW = np.float32(8.0)
+WITHIN, LAST, THICKNESS = 0, 1, 2  # columns of `Tile.frosting`
 BELOW_ONE = np.float32(1 - 2**-24)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -137,6 +140,8 @@ class Tile(NamedTuple):
     shown_by: (16, R) int32, triangle of the mirror or the glass through which a row is seen, -1 for none.
     parted: (16,) int32, whether the sample shows a surface without glass as well as what lies behind it.
     frosted: (16,) int32, the row whose lobe shows what the sample meets, -1 for none.  looking: (16,) uint8, whether the sample only looks for more glass.
+    frosting: (16, 3) float32, of the glass that the lobe of that row stands for: 1 where the ray of a packet is in it, else 0; where along the ray its last
+    surface is (m); how thick it is (m), 0 where that is not known yet, below 0 where the ray is beyond it.
     every: (A,) int32, all lamps.  lobe: (LOBE,) float32, scratch.
     """
 
@@ -171,6 +176,7 @@ class Tile(NamedTuple):
     parted: np.ndarray
     frosted: np.ndarray
     looking: np.ndarray
+    frosting: np.ndarray
     every: np.ndarray
     lobe: np.ndarray
     shown_by: np.ndarray
@@ -188,7 +194,8 @@ def new_tile(samples, light_groups, lamps):
         np.empty((WIDTH, EMITTED + 3 * GLASS * light_groups), f), np.empty(WIDTH, i), np.empty((WIDTH, rows, SAMPLE), f),
         np.empty((WIDTH, rows), i), np.empty(WIDTH, i), np.empty((WIDTH, rows), i), np.empty((WIDTH, rows, G_COLUMNS), f),
         np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f), np.empty(WIDTH, f), np.empty(WIDTH, f),
-        np.empty((WIDTH, 2), f), np.empty(WIDTH, i), np.empty(WIDTH, i), np.empty(WIDTH, np.uint8), np.arange(lamps).astype(i), np.empty(LOBE, f),
+        np.empty((WIDTH, 2), f), np.empty(WIDTH, i), np.empty(WIDTH, i), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f),
+        np.arange(lamps).astype(i), np.empty(LOBE, f),
         np.empty((WIDTH, rows), i),
     )  # fmt: skip
 
@@ -319,6 +326,18 @@ def _filtered(film, u):
 
 
 @leaf
+def _belongs(frosting, t, behind):
+    """Whether frosted glass, met at t (m), belongs to the lobe of the row that `frosting` (3,) is of: not where it lies beyond a hollow; see `Tile`."""
+    apart = t - frosting[LAST]
+    if frosting[WITHIN] > _0:
+        frosting[THICKNESS] = max(frosting[THICKNESS], apart)
+    elif frosting[THICKNESS] > _0 and apart > HOLLOW * frosting[THICKNESS]:
+        frosting[THICKNESS] = -_1
+    frosting[WITHIN], frosting[LAST] = _0 if behind else _1, t
+    return frosting[THICKNESS] >= _0
+
+
+@leaf
 def trace_samples(
     rays, camera, film, materials, geometry, lamps, near_lamps, n_lamps, tx, ty, lanes, begin, ends, seed, packet, rows, surface, tile
 ):
@@ -384,6 +403,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
         passed[lane] = _0
         tile.parted[lane] = tile.looking[lane] = 0
         tile.frosted[lane] = -1
+        tile.frosting[lane, LAST] = _0
         tile.choice[lane, 0], tile.choice[lane, 1] = _choice(s, seed, py * camera.size[0] + px), _1
         tile.axial[lane] = depth_along(camera, dx, dy, dz)
         tile.before[lane] = camera.clip[0]
@@ -433,11 +453,14 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                         surface[REFRACTION + c] = _0
                     surface[FROST] = _0
                 frost = surface[FROST] if surface[FROST] > SMALLEST_ALPHA else _0
+                beyond = False
                 if frost > _0 and tile.frosted[lane] >= 0:
                     row = tile.frosted[lane]
-                    tile.frost[pixel, row] = joined_alpha(tile.frost[pixel, row], frost)
+                    beyond = tile.frosting[lane, THICKNESS] < _0 or not _belongs(tile.frosting[lane], t, behind)
+                    if not beyond:
+                        tile.frost[pixel, row] = joined_alpha(tile.frost[pixel, row], frost)
                 if tile.looking[lane]:
-                    if frost == _0 or layer == MAX_LAYERS - 1:
+                    if frost == _0 or beyond or layer == MAX_LAYERS - 1:
                         disable_ray(packet, lane)
                     else:
                         set_ray(
@@ -509,6 +532,8 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                 depth[pixel, row] = tile.before[lane] + t * tile.axial[lane]
                 if way == LOOKING or seen_by_lobe:
                     tile.frosted[lane], tile.frost[pixel, row] = row, frost
+                    tile.frosting[lane, WITHIN] = _0 if behind else _1
+                    tile.frosting[lane, LAST], tile.frosting[lane, THICKNESS] = t, _0
                     tile.through[pixel, row] = ALL_LIGHT if way == LOOKING else SURFACES
             if way == SHOWN:
                 disable_ray(packet, lane)
@@ -523,6 +548,8 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
             weight[pixel, s, 1] *= g
             weight[pixel, s, 2] *= b
             start, far = _0, np.float32(np.inf)
+            if way & REFLECTED or (way & REFRACTED and (turns or frost > _0)):  # it goes on from here
+                tile.frosting[lane, LAST] -= t
             if way & REFLECTED:
                 origin[lane, 0], origin[lane, 1], origin[lane, 2] = ox, oy, oz
                 direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2] = dx, dy, dz

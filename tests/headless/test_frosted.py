@@ -82,3 +82,46 @@ def test_a_thin_wall_has_the_tint_and_the_reflections_of_both_sides(angle):
     reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=(4, 4), bounces=1))
     found = render(extract_scene(scene, size=(4, 4)), RenderSettings(bounces=1, denoise=False)).layers
     np.testing.assert_allclose(found["Combined"].mean((0, 1)), reference["Combined"].mean((0, 1)), rtol=0.01)
+
+
+def ball(scene, surface, radius, *, inwards=False):
+    """A smooth ball about the origin, whose faces look inwards or outwards."""
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=32, ring_count=16, radius=radius)
+    made = bpy.context.object
+    made.data.shade_smooth()
+    if inwards:
+        made.data.flip_normals()
+    made.data.materials.append(surface)
+    return made
+
+
+def in_a_shade(roughness):
+    """A round shade of frosted glass, 8 mm thick, with a lamp of 3 cm in its middle, before a wall."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    glass = material("Frosted", Transmission_Weight=1.0, Roughness=roughness, IOR=1.45)
+    wall = material("Wall", Base_Color=(0.6, 0.6, 0.6, 1), Specular_IOR_Level=0.0)
+    quad(scene, [(-1, 1, -1), (1, 1, -1), (1, 1, 1), (-1, 1, 1)], wall)
+    ball(scene, glass, 0.16)
+    ball(scene, glass, 0.152, inwards=True)
+    lamp(scene, "POINT", (0, 0, 0), energy=45.0, shadow_soft_size=0.03)
+    look(scene, (0, -1.2, 0), (math.pi / 2, 0, 0), lens=60)
+    return scene
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.35])
+def test_a_lamp_in_a_frosted_shade_is_as_bright_as_in_cycles_and_nowhere_brighter_than_itself(roughness):
+    """Rays that end at the far side of the shade by chance had the lamp on their way with what that chance weighs: 30 times its light, which passing rays had, too."""
+    scene, size = in_a_shade(roughness), (64, 64)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=128, size=size, bounces=2))
+    arrays = extract_scene(scene, size=size)
+    settings = RenderSettings(method="importance-sampling", bounces=2, denoise=False)
+    ours = [render(arrays, replace(settings, seed=seed)).layers["GlossyIndirect"] for seed in range(4)]
+    radiance = 45 / (4 * math.pi**2 * 0.03**2)
+    assert np.max(ours) < 1.2 * radiance
+    expected = reference["GlossyIndirect"]
+    assert np.mean(ours) == pytest.approx(expected.mean(), rel=0.2)
+    # What shines through the side before the lamp is not blurred by the side behind it as well.
+    y, x = np.mgrid[:64, :64] - 31.5
+    halo = (np.hypot(y, x) > 4) & (np.hypot(y, x) < 8)
+    assert np.mean(ours, axis=0)[halo].mean() < 1.7 * expected[halo].mean() or roughness < 0.2
