@@ -25,6 +25,12 @@ def _signed(x, bit):
 
 
 @inlined
+def _sign(bit):
+    """-1 where a bit is set, else 1, without a branch, for loops that are to be vectorized."""
+    return F(1) - F(2) * F(bit != 0)
+
+
+@inlined
 def _gradient1(h, x):
     g = F(1) + F(h & 7)
     return _signed(g, h & 8) * x
@@ -41,8 +47,9 @@ def _gradient2(h, x, y):
 def _gradient3(h, x, y, z):
     h = h & 15
     u = x if h < 8 else y
-    v = y if h < 4 else x if h == 12 or h == 14 else z
-    return _signed(u, h & 1) + _signed(v, h & 2)
+    far = x if (h == 12) | (h == 14) else z
+    v = y if h < 4 else far
+    return _sign(h & 1) * u + _sign(h & 2) * v
 
 
 @inlined
@@ -51,16 +58,17 @@ def _gradient4(h, x, y, z, w):
     u = x if h < 24 else y
     v = y if h < 16 else z
     s = z if h < 8 else w
-    return _signed(u, h & 1) + _signed(v, h & 2) + _signed(s, h & 4)
+    return _sign(h & 1) * u + _sign(h & 2) * v + _sign(h & 4) * s
 
 
 @inlined
 def _cell(x):
     """Cell and place in it; noise repeats every 100000 so that floats can tell places apart (Cycles: snoise)."""
-    far = abs(x) >= F(1e6)
-    x = np.fmod(x, F(100000))
-    if far:
-        x += F(0.5)
+    if abs(x) >= F(100000):  # a call, and dear
+        far = abs(x) >= F(1e6)
+        x = np.fmod(x, F(100000))
+        if far:
+            x += F(0.5)
     f = np.floor(x)
     return np.int32(f), x - f
 
@@ -88,17 +96,15 @@ def perlin(dimensions, x, y, z, w):
         return F(0.6616) * _mix(low, high, v)
     k, fz = _cell(z)
     t = _fade(fz)
+    total = F(0)
     if dimensions == 3:
-        total = F(0)
-        for corner in range(4):
-            b, c = corner & 1, corner >> 1
-            gy, gz = fy - F(b), fz - F(c)
-            row = _mix(_gradient3(hash3(i, j + b, k + c), fx, gy, gz), _gradient3(hash3(i + 1, j + b, k + c), fx - F(1), gy, gz), u)
-            total += row * (v if b else F(1) - v) * (t if c else F(1) - t)
+        for corner in range(1 << dimensions):  # a number that the compiler does not know: it would unroll the loop, not vectorize it
+            a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
+            weight = (u if a else F(1) - u) * (v if b else F(1) - v) * (t if c else F(1) - t)
+            total += weight * _gradient3(hash3(i + a, j + b, k + c), fx - F(a), fy - F(b), fz - F(c))
         return F(0.982) * total
     n, fw = _cell(w)
     s = _fade(fw)
-    total = F(0)
     for corner in range(16):
         a, b, c, d = corner & 1, (corner >> 1) & 1, (corner >> 2) & 1, corner >> 3
         weight = (u if a else F(1) - u) * (v if b else F(1) - v) * (t if c else F(1) - t) * (s if d else F(1) - s)
