@@ -16,7 +16,7 @@ from .frosted import seen_through
 from .layout import BEND, FROST, REFRACTION, TRANSPARENCY, largest_kept
 from .lobes import sample_lobe, set_lobe
 from .normals import mapped_normal, sees_back, shading_normal
-from .visibility import MAX_PASSED, OUTSIDE, STRAIGHT_ON, bends_most, evaluate_along, is_lens, is_sheet, passed_glass
+from .visibility import MAX_PASSED, OUTSIDE, STRAIGHT_ON, begins_in, bends_most, evaluate_along, is_lens, is_sheet, passed_glass
 
 # Columns of the straight parts of a way (`nearest_reflected`): origin, direction, where along it the part begins and ends (m), and what weighs light
 # that is met there.  PARTS: of a way at most.
@@ -82,7 +82,8 @@ def nearest_reflected(scene, packet, rows, surface, bends, whole, ox, oy, oz, dx
     r = g = b = clear = _1
     ex, ey, ez = dx, dy, dz
     start = before = x = y = z = _0
-    glasses = sheets = n_parts = 0
+    glasses = sheets = fronts = n_parts = 0
+    begun = entered
     for layer in range(MAX_PASSED):
         triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, ex, ey, ez, start, np.float32(np.inf), GLOSSY)
         turned = np.int64(1) if is_sheet(sheets) else np.int64(0)
@@ -116,7 +117,11 @@ def nearest_reflected(scene, packet, rows, surface, bends, whole, ox, oy, oz, dx
             continue
         clear *= max(_0, _1 - refracted / (tr + tg + tb))
         glasses += 1
-        sheets += bends_most(surface)
+        if fronts == 0 and begins_in(surface, behind, begun):
+            begun -= 1
+        else:
+            sheets += bends_most(surface)
+        fronts = max(fronts - 1, 0) if behind else fronts + 1
         nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, _0, _0, _0)
         x, y, z = x + nx, y + ny, z + nz
         turns = False

@@ -102,10 +102,18 @@ def is_lens(glasses, x, y, z, dx, dy, dz):
 
 @inlined
 def bends_most(surface):
-    """Whether most of what a surface lets through is bent by clear glass; frosted glass is passed straight."""
+    """Whether most of what a surface lets through is bent by glass."""
     refracted = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
     through = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
-    return refracted > np.float32(0.5) * through and abs(surface[BEND] - _1) > STRAIGHT_ON and not surface[FROST] > _0
+    return refracted > np.float32(0.5) * through and abs(surface[BEND] - _1) > STRAIGHT_ON
+
+
+@inlined
+def begins_in(surface, behind, begun):
+    """Whether a way that began within so many solids (`begun`) leaves one by its frosted side: a pane whose front the camera has passed shows in its
+    lobe what lies beyond its back, and is no sheet to that.
+    """
+    return behind and begun > 0 and surface[FROST] > _0
 
 
 @inlined
@@ -129,7 +137,8 @@ def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near,
     """
     r = g = b = clear = _1
     x = y = z = _0
-    glasses = bends = 0
+    glasses = bends = fronts = 0
+    begun = entered
     owed = _1
     start = t_near
     for _ in range(MAX_PASSED):
@@ -152,7 +161,9 @@ def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near,
         if refracted > _0:
             clear *= max(_0, _1 - refracted)
             glasses += 1
-            if lamp and bends_most(surface):
+            if lamp and fronts == 0 and begins_in(surface, behind, begun):
+                begun -= 1
+            elif lamp and bends_most(surface):
                 bends += 1
                 square = surface[BEND] * surface[BEND]
                 if out:
@@ -160,6 +171,7 @@ def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near,
                 elif not behind:
                     cosine = (nx * dx + ny * dy + nz * dz) ** 2 / (dx * dx + dy * dy + dz * dz)
                     owed = square if square * (_1 - cosine) < _1 else _0
+            fronts = max(fronts - 1, 0) if behind else fronts + 1
             entered = passed_glass(entered, behind)
             x, y, z = x + nx, y + ny, z + nz
         start = t + np.float32(1e-5) * abs(t)

@@ -125,3 +125,42 @@ def test_a_lamp_in_a_frosted_shade_is_as_bright_as_in_cycles_and_nowhere_brighte
     y, x = np.mgrid[:64, :64] - 31.5
     halo = (np.hypot(y, x) > 4) & (np.hypot(y, x) < 8)
     assert np.mean(ours, axis=0)[halo].mean() < 1.7 * expected[halo].mean() or roughness < 0.2
+
+
+def frosted(roughness):
+    return material("Frosted", Transmission_Weight=1.0, Roughness=roughness, IOR=1.45)
+
+
+def in_a_ball():
+    """A lamp in a ball of frosted glass, as shades are made of one ball without a thickness, before a wall."""
+    scene = in_a_shade(0.35)
+    bpy.data.objects.remove(scene.objects["Sphere.001"])
+    return scene, "DiffuseIndirect"
+
+
+def behind_a_sheet(side):
+    """A room parted by frosted glass of one plane, with a lamp on the side of its front, behind which the camera is not, or on the other."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    wall = material("Wall", Base_Color=(0.6, 0.6, 0.6, 1), Specular_IOR_Level=0.0)
+    corners = [(x, y, z) for z in (0, 3) for y in (0, 3) for x in (-2, 2)]
+    for face in ((0, 1, 3, 2), (4, 5, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5), (2, 3, 7, 6)):
+        quad(scene, [corners[k] for k in face], wall)
+    quad(scene, [(-2, 2, 0), (2, 2, 0), (2, 2, 3), (-2, 2, 3)], frosted(0.3))
+    lamp(scene, "POINT", (0.3, 2.5 if side == "beyond" else 0.7, 1.7), energy=60.0, shadow_soft_size=0.1)
+    look(scene, (0, 0.1, 1.5), (math.pi / 2, 0, 0), lens=16)
+    return scene, "DiffuseIndirect" if side == "beyond" else "GlossyIndirect"
+
+
+@pytest.mark.parametrize(
+    "built", [in_a_ball, lambda: behind_a_sheet("beyond"), lambda: behind_a_sheet("before")], ids=["ball", "beyond", "before"]
+)
+def test_lamps_on_the_other_side_of_a_frosted_sheet_send_the_square_of_the_index(built):
+    """Half of the light was missing around the ball, and half too much behind the sheet, where the lamp's light went straight through."""
+    scene, layer = built()
+    size = (32, 24)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=1024, size=size, bounces=2))
+    arrays = extract_scene(scene, size=size)
+    settings = RenderSettings(method="importance-sampling", bounces=2, denoise=False)
+    ours = [render(arrays, replace(settings, seed=seed)).layers[layer] for seed in range(2)]
+    assert np.mean(ours) == pytest.approx(reference[layer].mean(), rel=0.2)
