@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 
 import bpy
+from bl_ui.properties_view_layer import ViewLayerLightgroupsPanelHelper
 
 from ..core.settings import options
 from . import operators as ops
@@ -117,6 +118,32 @@ class LightGroupsPanel(_RenderPanel, bpy.types.Panel):
             layout.label(text="Add Indirect Light to Compositor sets the mixer up", icon="INFO")
 
 
+class FilmPanel(_RenderPanel, bpy.types.Panel):
+    """The film of a render inside Blender, which is Cycles'."""
+
+    bl_idname = "LUMIGATE_PT_film"
+    bl_parent_id = RenderPanel.bl_idname
+    bl_label = "Film"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Other renderers have a panel of their own."""
+        return context.engine == LumigateEngine.bl_idname
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Transparency and pixel filter, as `extract_film` reads them."""
+        layout = self.columns()
+        render, cycles = context.scene.render, getattr(context.scene, "cycles", None)
+        layout.prop(render, "film_transparent", text="Transparent")
+        if cycles is None:
+            layout.prop(render, "filter_size")
+            return
+        layout.prop(cycles, "pixel_filter_type", text="Pixel Filter")
+        if cycles.pixel_filter_type != "BOX":
+            layout.prop(cycles, "filter_width", text="Width")
+
+
 class ScenePanel(_RenderPanel, bpy.types.Panel):
     """What of the scene will be skipped, and what will look wrong."""
 
@@ -170,4 +197,12 @@ class PassesPanel(bpy.types.Panel):
             column.prop(context.view_layer.lumigate, name)
 
 
-CLASSES = (RenderPanel, NumbersPanel, LightGroupsPanel, ScenePanel, PassesPanel)
+class LightGroupListPanel(ViewLayerLightgroupsPanelHelper, bpy.types.Panel):
+    """The light groups of a view layer, as Cycles lists them."""
+
+    bl_idname = "LUMIGATE_PT_light_group_list"
+    bl_parent_id = PassesPanel.bl_idname
+    COMPAT_ENGINES = {LumigateEngine.bl_idname}
+
+
+CLASSES = (RenderPanel, NumbersPanel, LightGroupsPanel, FilmPanel, ScenePanel, PassesPanel, LightGroupListPanel)

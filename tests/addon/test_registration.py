@@ -8,7 +8,7 @@ import bpy
 import pytest
 
 import lumigate
-from lumigate.addon import job, registration
+from lumigate.addon import compat, job, registration
 from lumigate.core.threads import end_threads, run_chunks
 
 ROOT = Path(lumigate.__file__).parent
@@ -71,9 +71,43 @@ def test_a_running_job_ends_with_the_extension():
     assert running.done and running.cancelled
 
 
-def test_blenders_panels_serve_the_engine(registered):
-    for name in ("EEVEE_MATERIAL_PT_surface", "EEVEE_WORLD_PT_surface", "DATA_PT_EEVEE_light", "RENDER_PT_color_management"):
-        assert "LUMIGATE" in getattr(bpy.types, name).COMPAT_ENGINES
+@pytest.mark.parametrize(
+    "name",
+    [
+        "RENDER_PT_color_management",
+        "RENDER_PT_simplify",
+        "CYCLES_MATERIAL_PT_surface",
+        "CYCLES_WORLD_PT_surface",
+        "CYCLES_WORLD_PT_settings_light_group",
+        "CYCLES_LIGHT_PT_light",
+        "CYCLES_LIGHT_PT_beam_shape",  # a spot's cone, an area's spread
+        "CYCLES_LIGHT_PT_nodes",
+        "CYCLES_OBJECT_PT_visibility_ray_visibility",
+        "CYCLES_OBJECT_PT_lightgroup",
+    ],
+)
+def test_blenders_panels_of_what_counts_serve_the_engine(registered, name):
+    panel = getattr(bpy.types, name)
+    parents = [panel]
+    while getattr(parents[-1], "bl_parent_id", ""):
+        parents.append(getattr(bpy.types, parents[-1].bl_parent_id))
+    assert all("LUMIGATE" in shown.COMPAT_ENGINES for shown in parents)
+
+
+@pytest.mark.parametrize(
+    "name", ["DATA_PT_EEVEE_light", "DATA_PT_EEVEE_light_distance", "EEVEE_MATERIAL_PT_surface", "OBJECT_PT_visibility"]
+)
+def test_panels_of_what_does_not_count_are_hidden(registered, name):
+    assert "LUMIGATE" not in getattr(bpy.types, name).COMPAT_ENGINES
+
+
+def test_lamps_have_a_panel_without_cycles(monkeypatch):
+    monkeypatch.setattr(compat, "_CYCLES", ("NO_PT_such_panel",))
+    lumigate.register()
+    try:
+        assert all("LUMIGATE" in getattr(bpy.types, name).COMPAT_ENGINES for name in ("DATA_PT_EEVEE_light", "DATA_PT_spot"))
+    finally:
+        lumigate.unregister()
 
 
 def test_operators_are_offered_only_with_a_camera(registered):
