@@ -10,7 +10,7 @@ import bpy
 
 from ..core.errors import SceneError
 from .job import Job, loading, render_job
-from .passes import COMBINED, group_names, hand_over, long_name, long_names, passes_of, register_passes
+from .passes import COMBINED, group_names, hand_over, left_out, long_name, long_names, passes_of, register_passes
 
 if TYPE_CHECKING:
     from .viewport import Viewport
@@ -69,7 +69,7 @@ class LumigateEngine(bpy.types.RenderEngine):
     def _begin(self, depsgraph: bpy.types.Depsgraph) -> Job:
         """Read Blender's data here, where it may be read, and start the rest."""
         from .extract import extract_scene
-        from .extract.film import extract_film
+        from .extract.film import extract_film, film_exposure
 
         self.update_stats("", "Lumigate: reading the scene")
         begin = time.perf_counter()
@@ -77,7 +77,8 @@ class LumigateEngine(bpy.types.RenderEngine):
         arrays = extract_scene(depsgraph.scene, camera=camera and camera.name, depsgraph=depsgraph)
         wanted = (COMBINED, *depsgraph.view_layer.lumigate.wanted())
         settings = replace(depsgraph.scene_eval.lumigate.as_settings(), layers=wanted, film=extract_film(depsgraph.scene))
-        return render_job(arrays, settings, extraction_seconds=time.perf_counter() - begin)
+        seconds, exposure = time.perf_counter() - begin, film_exposure(depsgraph.scene)
+        return render_job(arrays, settings, extraction_seconds=seconds, exposure=exposure)
 
     def _watch(self, job: Job) -> bool:
         """Show how far the job is until it ends; False where the user has cancelled it."""
@@ -96,7 +97,7 @@ class LumigateEngine(bpy.types.RenderEngine):
         layers, stats = job.result.layers, job.result.stats
         hand_over(self, layers, passes_of(depsgraph.scene, depsgraph.view_layer))
         too_long = long_names(group_names(depsgraph.scene, depsgraph.view_layer))
-        for warning in (*stats["warnings"], *(long_name(name) for name in too_long)):
+        for warning in (*stats["warnings"], *(long_name(name) for name in too_long), *left_out(depsgraph.view_layer)):
             self.report({"WARNING"}, warning)
         self.update_progress(1.0)
         self.update_stats("", f"Lumigate: {stats['method']}, {stats['seconds_total']:.1f} s")

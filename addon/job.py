@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from .progress import Progress
@@ -110,18 +111,22 @@ def render_job(
     settings: RenderSettings,
     *,
     extraction_seconds: float = 0.0,
+    exposure: float = 1.0,
     afterwards: Callable[[RenderResult], Any] = lambda result: result,
 ) -> Job:
     """The core's render of `scene` as a job, in tiles where it does not fit into memory.
 
+    exposure: what the layers of light are multiplied by.
     afterwards: called in the thread, too, with the `core.pipeline.RenderResult`; what it returns is the job's result.
     """
 
     def work(advance: Callable[[str, float], bool]) -> Any:
         # Not before `loading`, or Blender's start would wait for Numba.
+        from ..core.layers import exposed
         from ..core.tiled import render_fitting
 
-        return afterwards(render_fitting(scene, settings, advance, extraction_seconds=extraction_seconds))
+        result = render_fitting(scene, settings, advance, extraction_seconds=extraction_seconds)
+        return afterwards(replace(result, layers=exposed(result.layers, exposure)))
 
     return computing(work, Progress(settings.time_budget, open_end=settings.with_defaults().target_error is not None))
 

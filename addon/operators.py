@@ -17,7 +17,7 @@ from .image_layers import IMAGE_NAME, load_layers, write_layers
 from .job import Job, failed, loading, nothing, render_job
 from .lasting import by_uid
 from .light_mixer import mix_render, wire_mixer
-from .passes import group_names, long_name, long_names
+from .passes import group_names, left_out, long_name, long_names
 from .preserved import kept_render_result
 from .state import named_objects
 
@@ -187,7 +187,7 @@ class AddIndirectLight(NeedsCamera, JobOperator, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Job:
         """Read the scene and start the render, which ends with the layers in a file."""
-        from .extract.film import extract_film
+        from .extract.film import extract_film, film_exposure
 
         arrays, seconds = _extracted(context)
         self._scene, self._layer = context.scene.session_uid, context.view_layer.name
@@ -196,6 +196,7 @@ class AddIndirectLight(NeedsCamera, JobOperator, bpy.types.Operator):
             arrays,
             replace(context.scene.lumigate.as_settings(), film=extract_film(context.scene)),
             extraction_seconds=seconds,
+            exposure=film_exposure(context.scene),
             afterwards=lambda result: (write_layers(folder, result.layers), result.stats),
         )
 
@@ -284,7 +285,8 @@ class CheckScene(NeedsCamera, bpy.types.Operator):
         arrays = sound(arrays)
         skipped, warnings = foresee(arrays, build_emitters(arrays))
         lines = [f"{found.stage}: {found.reason}" for found in (*arrays.skipped, *skipped)]
-        context.window_manager.lumigate.report(context.scene, lines, [*arrays.warnings, *warnings])
+        passes = left_out(context.view_layer) if context.engine == "LUMIGATE" else []
+        context.window_manager.lumigate.report(context.scene, lines, [*arrays.warnings, *warnings, *passes])
         return {"FINISHED"}
 
 

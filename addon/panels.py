@@ -139,6 +139,7 @@ class FilmPanel(_RenderPanel, bpy.types.Panel):
         if cycles is None:
             layout.prop(render, "filter_size")
             return
+        layout.prop(cycles, "film_exposure", text="Exposure")
         layout.prop(cycles, "pixel_filter_type", text="Pixel Filter")
         if cycles.pixel_filter_type != "BOX":
             layout.prop(cycles, "filter_width", text="Width")

@@ -21,6 +21,19 @@ _HELP = {
     "Position": "Position in world space (m)",
     "Depth": "Distance along the view (m)",
 }
+# Passes of other renderers that have no counterpart here.
+_FOREIGN = {
+    "use_pass_mist": "Mist",
+    "use_pass_vector": "Vector",
+    "use_pass_uv": "UV",
+    "use_pass_object_index": "Object Index",
+    "use_pass_material_index": "Material Index",
+    "use_pass_ambient_occlusion": "Ambient Occlusion",
+    "use_pass_shadow": "Shadow",
+    "use_pass_cryptomatte_object": "Cryptomatte Object",
+    "use_pass_cryptomatte_material": "Cryptomatte Material",
+    "use_pass_cryptomatte_asset": "Cryptomatte Asset",
+}
 LONGEST_GROUP = 63 - len("Combined_")  # bytes, of 63 that a pass may be called
 OPTIONAL = tuple(name for name in CONTRACT if name != COMBINED)
 
@@ -74,6 +87,13 @@ def long_names(groups: list[str]) -> list[str]:
 def long_name(group: str) -> str:
     """A line about one of them."""
     return f"light group '{group}' has no passes: its name is too long for Blender, shorten it to {LONGEST_GROUP} bytes"
+
+
+def left_out(view_layer: bpy.types.ViewLayer) -> list[str]:
+    """A line about passes that the view layer asks for and this engine does not have: the compositor gets nothing from their sockets."""
+    missing = [label for name, label in _FOREIGN.items() if getattr(view_layer, name)]
+    missing += [f"AOV '{aov.name}'" for aov in view_layer.aovs]
+    return [f"view layer '{view_layer.name}' asks for passes that Lumigate leaves out: {', '.join(missing)}"] if missing else []
 
 
 def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:

@@ -21,7 +21,7 @@ from ..core.film import Film
 from ..core.scene import Camera, Scene
 from ..core.settings import RenderSettings
 from .job import Job, loading, render_job
-from .region import region_camera
+from .region import WHOLE, Part, part_of, region_camera, render_region
 
 _TICK = 0.05  # seconds between two looks at a running job
 _REST = 0.3  # seconds without a change before a scene that is slow to read is read again
@@ -36,13 +36,16 @@ _RESTING = {"pixel_samples": 1, "direct_samples": 1, "samples": 4, "gather": 2, 
 
 
 class _Eye(NamedTuple):
-    """What a region of the screen looks through: matrices by rows, its size in pixels, and whether it shows a part of the scene only."""
+    """What a region of the screen looks through: matrices by rows, its size in pixels, whether it shows a part of the scene only, and
+    what part of it is rendered.
+    """
 
     view: tuple[float, ...]
     window: tuple[float, ...]
     width: int
     height: int
     partly: tuple[bool, bool]
+    part: Part
 
 
 class Viewport:
@@ -51,6 +54,7 @@ class Viewport:
     def __init__(self) -> None:
         self._scene: Scene | None = None
         self._settings: RenderSettings | None = None
+        self._exposure = 1.0
         self._eye: _Eye | None = None
         self._stale = True
         self._changed = 0.0
@@ -59,6 +63,7 @@ class Viewport:
         self._late = False  # the job is for a view that is no more
         self._step = 0
         self._picture: np.ndarray | None = None  # (H, W, 4) float32, last row first
+        self._part = WHOLE  # of the region, which the picture shows
         self._mean: np.ndarray | None = None
         self._texture: gpu.types.GPUTexture | None = None
         self._timer: Callable[[], None] | None = None
@@ -75,12 +80,15 @@ class Viewport:
             engine.update_stats("Lumigate", str(loading().progress))
             self._redraw_soon(engine)
             return
+        # Not before `loading`, or the window would wait for Numba.
+        from .extract.film import film_exposure
+
         region, eye = context.region, _looking(context)
-        settings = viewport_settings(depsgraph.scene)
+        settings, exposure = viewport_settings(depsgraph.scene), film_exposure(depsgraph.scene)
         if self._eye is not None and eye.partly != self._eye.partly:
             self.update()
-        if eye != self._eye or settings != self._settings:
-            self._eye, self._settings = eye, settings
+        if (eye, settings, exposure) != (self._eye, self._settings, self._exposure):
+            self._eye, self._settings, self._exposure = eye, settings, exposure
             self._restart()
         if self._stale and (self._reading < _QUICK or time.perf_counter() - self._changed > _REST):
             self._read(depsgraph, context.space_data)
@@ -146,7 +154,7 @@ class Viewport:
     def _camera(self, pixel: int) -> Camera:
         """What the region looks through, in world space, with pixels that are `pixel` of its own wide."""
         width, height = max(1, self._eye.width // pixel), max(1, self._eye.height // pixel)
-        return region_camera(*(np.reshape(rows, (4, 4)) for rows in self._eye[:2]), width, height)
+        return region_camera(*(np.reshape(rows, (4, 4)) for rows in self._eye[:2]), width, height, self._eye.part)
 
     def _begin(self) -> Job:
         """The job of the next picture: coarse, then whole ones, each with random numbers of its own."""
@@ -164,7 +172,7 @@ class Viewport:
             quality=None,
             debug_layers=False,
         )
-        return render_job(scene, settings)
+        return render_job(scene, settings, exposure=self._exposure, afterwards=lambda result: (result.layers["Combined"], camera))
 
     def _collect(self) -> None:
         """Take what the job has found: the mean of all whole pictures so far."""
@@ -176,7 +184,8 @@ class Viewport:
         if job.error is not None:
             self.problem, self._step = str(job.error), _REFINEMENTS + 2
             return
-        found = job.result.layers["Combined"][::-1]
+        found, camera = job.result
+        found, self._part = found[::-1], part_of(camera.border, camera.width, camera.height)
         if self._step > 0:
             self._mean = found if self._mean is None else self._mean + (found - self._mean) / np.float32(self._step)
             found = self._mean
@@ -193,7 +202,9 @@ class Viewport:
             self._texture = gpu.types.GPUTexture((width, height), format="RGBA16F", data=pixels)
         gpu.state.blend_set("ALPHA_PREMULT")
         engine.bind_display_space_shader(scene)
-        draw_texture_2d(self._texture, (0, 0), region.width, region.height)
+        left, bottom, right, top = self._part
+        place = left * region.width, bottom * region.height
+        draw_texture_2d(self._texture, place, (right - left) * region.width, (top - bottom) * region.height)
         engine.unbind_display_space_shader()
         gpu.state.blend_set("NONE")
 
@@ -207,4 +218,5 @@ def _looking(context: bpy.types.Context) -> _Eye:
     view, region = context.region_data, context.region
     flat = (tuple(value for row in matrix for value in row) for matrix in (view.view_matrix, view.window_matrix))
     space = context.space_data
-    return _Eye(*flat, region.width, region.height, (space.local_view is not None, space.use_local_collections))
+    partly = space.local_view is not None, space.use_local_collections
+    return _Eye(*flat, region.width, region.height, partly, render_region(context.scene, space, view, region))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import zlib
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,8 @@ CONTRACT = (
 )
 # Of each light group `<layer>_<group>`.
 GROUP_LAYERS = ("Combined", "Direct", "Indirect")
+# Layers of light, which an exposure makes brighter.
+_LIGHT = {"Combined", "Direct", "Indirect", "DiffuseIndirect", "GlossyIndirect", "Irradiance", "Emission"}
 # Layers that are vectors in space, not colours.
 VECTORS = {"Normal", "Position"}
 _LETTERS = {1: "V", 2: "XY", 3: "RGB", 4: "RGBA"}
@@ -89,6 +91,17 @@ class Layers(MutableMapping):
     def size(self) -> tuple[int, int]:
         """(width, height) of the arrays in pixels; (0, 0) where there are none."""
         return next(((a.shape[1], a.shape[0]) for a in self.arrays.values()), (0, 0))
+
+
+def exposed(layers: Layers, exposure: float) -> Layers:
+    """The same layers, those of light (of light groups, too) `exposure` times as bright; an alpha stays."""
+    if exposure == 1:
+        return layers
+    bright = {name: array.copy() for name, array in layers.items()}
+    for name, array in bright.items():
+        if name in _LIGHT or name.startswith(tuple(f"{kind}_" for kind in GROUP_LAYERS)):
+            array[..., :3] *= np.float32(exposure)
+    return replace(layers, arrays=bright)
 
 
 def channel_names(name: str, channels: int, view_layer: str) -> list[str]:

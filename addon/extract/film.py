@@ -1,4 +1,4 @@
-"""Blender's film: the pixel filter, and whether the world shows."""
+"""Blender's film: the pixel filter, whether the world shows, and the exposure."""
 
 from __future__ import annotations
 
@@ -15,3 +15,9 @@ def extract_film(scene: bpy.types.Scene) -> Film:
         return Film("BLACKMAN_HARRIS", scene.render.filter_size, transparent)
     width = cycles.filter_width if cycles.pixel_filter_type != "BOX" else 1.0
     return Film(cycles.pixel_filter_type, width, transparent)
+
+
+def film_exposure(scene: bpy.types.Scene) -> float:
+    """What Cycles' film multiplies all light by; 1 where Cycles is switched off."""
+    cycles = getattr(scene, "cycles", None)
+    return 1.0 if cycles is None else cycles.film_exposure

@@ -10,7 +10,8 @@ from lumigate.addon import engine
 from lumigate.addon.extract import extract_scene
 from lumigate.addon.extract.film import extract_film
 from lumigate.addon.job import Job
-from lumigate.core.layers import CONTRACT, read_exr
+from lumigate.addon.passes import left_out
+from lumigate.core.layers import CONTRACT, exposed, read_exr
 from lumigate.core.pipeline import render
 
 SIZE = 48, 32
@@ -44,7 +45,8 @@ def test_a_transparent_film_has_an_alpha_instead_of_the_world(scene, rendered):
     scene.world = bpy.data.worlds.new("Sky")
     scene.render.film_transparent = True
     scene.objects["Camera"].location.y -= 1.0  # the world around the box
-    layers = computed(scene)
+    scene.cycles.film_exposure = 2.0
+    layers = exposed(computed(scene), 2.0)
     passes = rendered()
     np.testing.assert_allclose(passes["Combined"], layers["Combined"], rtol=1e-5, atol=1e-6)
     alpha = passes["Combined"][..., 3]
@@ -55,6 +57,14 @@ def test_only_the_passes_of_the_view_layer_are_there(scene, rendered):
     for name in set(CONTRACT) - {"Combined", "Indirect"}:
         setattr(scene.view_layers[0].lumigate, name, False)
     assert set(rendered()) == {"Combined", "Indirect"}
+
+
+def test_passes_of_other_renderers_are_told():
+    layer = bpy.context.scene.view_layers.new("Shot")
+    assert left_out(layer) == []
+    layer.use_pass_mist = layer.use_pass_cryptomatte_object = True
+    layer.aovs.add().name = "mask"
+    assert left_out(layer) == ["view layer 'Shot' asks for passes that Lumigate leaves out: Mist, Cryptomatte Object, AOV 'mask'"]
 
 
 def test_a_border_shows_the_same_pixels(scene, rendered):

@@ -6,11 +6,12 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
+from mathutils import Matrix
 
 import lumigate
 from lumigate import sample_scenes
 from lumigate.addon.extract import extract_scene, extract_shown
-from lumigate.addon.region import region_camera
+from lumigate.addon.region import WHOLE, part_of, pixels_of, region_camera, render_region
 from lumigate.addon.viewport import Viewport, viewport_settings
 
 SIZE = 64, 40
@@ -41,6 +42,38 @@ def test_a_region_sees_what_the_camera_sees(camera):
     placed = wanted.matrix[:3, 3] + arrays.origin + near * wanted.matrix[:3, 2]
     np.testing.assert_allclose(shown.matrix[:3, :3], wanted.matrix[:3, :3], atol=1e-5)
     np.testing.assert_allclose(shown.matrix[:3, 3], placed, atol=1e-4)
+
+
+def test_the_render_region_of_the_camera_is_the_same_part_of_its_frame():
+    scene = sample_scenes.build("cornell", detail="low")
+    seen_from(scene, lens=35, shift_x=0.2, sensor_fit="VERTICAL")
+    eye, graph = scene.camera, bpy.context.evaluated_depsgraph_get()
+    projection = eye.calc_matrix_camera(graph, x=SIZE[0], y=SIZE[1])
+    region = SimpleNamespace(width=2 * SIZE[0], height=2 * SIZE[1])
+    space = SimpleNamespace(use_local_camera=False, use_render_border=False)
+    # The frame takes the middle half of the region: to a projection, x and y are half as large.
+    half = np.diag([0.5, 0.5, 1, 1]) @ np.array(projection) @ np.array(eye.matrix_world.inverted())
+    view = SimpleNamespace(view_perspective="CAMERA", perspective_matrix=Matrix(half.tolist()))
+    assert render_region(scene, space, view, region) == WHOLE
+    render = scene.render
+    render.use_border, render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = True, 0.5, 1.0, 0.0, 0.25
+    np.testing.assert_allclose(render_region(scene, space, view, region), (0.5, 0.25, 0.75, 0.375), atol=1e-4)
+
+
+def test_the_render_region_of_a_free_view_is_its_own():
+    scene = bpy.context.scene
+    scene.render.use_border = True  # of the camera alone
+    view = SimpleNamespace(view_perspective="PERSP")
+    edges = {"render_border_min_x": 0.1, "render_border_min_y": 0.2, "render_border_max_x": 0.3, "render_border_max_y": 0.4}
+    spaces = [SimpleNamespace(use_local_camera=False, use_render_border=used, **edges) for used in (False, True)]
+    assert [render_region(scene, space, view, None) for space in spaces] == [WHOLE, (0.1, 0.2, 0.3, 0.4)]
+
+
+def test_pixels_of_a_render_region():
+    assert pixels_of(WHOLE, 16, 10) == (0, 0, 16, 10)
+    assert pixels_of((0.5, 0.25, 0.75, 0.5), 16, 8) == (8, 4, 12, 6)
+    assert part_of((8, 4, 12, 6), 16, 8) == (0.5, 0.25, 0.75, 0.5)
+    assert pixels_of((1.0, 1.0, 1.0, 1.0), 16, 8) == (15, 0, 16, 1)  # out of the region: one pixel
 
 
 def test_what_a_viewport_shows_is_extracted_without_a_render():
@@ -84,7 +117,9 @@ def test_the_viewport_sees_through_a_transparent_film():
         viewport = Viewport()
         viewport._scene = extract_shown(bpy.context.evaluated_depsgraph_get(), camera)
         viewport._eye = SimpleNamespace(width=SIZE[0], height=SIZE[1])
-        viewport._camera = lambda _pixel: replace(viewport._scene.camera, matrix=viewport._scene.camera.matrix.copy())
+        viewport._camera = lambda _pixel: replace(
+            viewport._scene.camera, matrix=viewport._scene.camera.matrix.copy(), border=(0, 10, 64, 30)
+        )
         for transparent in (True, False):
             scene.render.film_transparent = transparent
             viewport._settings = viewport_settings(scene)
@@ -94,5 +129,6 @@ def test_the_viewport_sees_through_a_transparent_film():
             viewport._collect()
             alpha = viewport._picture[..., 3]
             assert alpha.max() == 1 and (alpha.min() == 0) == transparent
+            assert alpha.shape == (20, 64) and viewport._part == (0, 0.25, 1, 0.75)
     finally:
         lumigate.unregister()

@@ -170,6 +170,22 @@ def test_full_disk_is_one_line_and_no_file(tmp_path, share):
     assert [p.name for p in tmp_path.iterdir()] == ["whole.exr"]
 
 
+def test_an_exposure_is_of_light_alone():
+    arrays = {
+        name: np.ones((2, 3, 4 if name == "Combined" else 3)) for name in ("Combined", "Indirect", "Direct_Lamps", "Albedo", "Normal")
+    }
+    bright = lay.exposed(lay.Layers(arrays, view_layer="Shot"), 2.0)
+    assert bright.view_layer == "Shot"
+    assert {name: tuple(array[0, 0]) for name, array in bright.items()} == {
+        "Combined": (2, 2, 2, 1),
+        "Indirect": (2, 2, 2),
+        "Direct_Lamps": (2, 2, 2),
+        "Albedo": (1, 1, 1),
+        "Normal": (1, 1, 1),
+    }
+    assert (arrays["Indirect"] == 1).all()
+
+
 def test_preview_is_the_standard_view(tmp_path):
     linear = np.array([[[0.0, 0.18, 1.0], [0.5, 4.0, np.nan]]], np.float32)
     path = lay.write_preview(tmp_path / "p.png", linear)
