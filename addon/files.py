@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import mmap
 from pathlib import Path
 
 import bpy
@@ -12,6 +13,7 @@ from mathutils import Vector
 from ..core.errors import SceneError
 
 SUPPORTED = (".blend", ".glb", ".gltf", ".obj")
+_REMARKS = "lumigate_import"  # of a scene: lines about what its file lacked
 
 
 def open_scene(path: str | Path) -> bpy.types.Scene:
@@ -38,8 +40,31 @@ def open_scene(path: str | Path) -> bpy.types.Scene:
     if not meshes:
         raise SceneError(f"'{path}' holds no faces: there is nothing to render")
     scene = bpy.context.scene
+    if suffix == ".obj":
+        scene[_REMARKS] = "\n".join(
+            f"'{path.name}' names the material library '{name}', which is not beside it: its materials are grey" for name in _lacking(path)
+        )
     scene.camera = next((ob for ob in scene.objects if ob.type == "CAMERA"), None) or _framing_camera(scene, meshes)
     return scene
+
+
+def import_remarks(scene: bpy.types.Scene) -> list[str]:
+    """What was missing when `open_scene` imported this scene, a line each."""
+    return str(scene.get(_REMARKS, "")).splitlines()
+
+
+def _lacking(path: Path) -> list[str]:
+    """The material libraries that an OBJ file names and that are not there: Blender's importer says nothing of them."""
+    names = []
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
+        at = text.find(b"mtllib")
+        while at >= 0:
+            text.seek(at)
+            line = text.readline().decode(errors="replace").split(maxsplit=1)
+            if (at == 0 or text[at - 1 : at] in b"\r\n") and len(line) == 2:
+                names.append(line[1].strip())
+            at = text.find(b"mtllib", at + 1)
+    return [name for name in dict.fromkeys(names) if not (path.parent / name.replace("\\", "/")).is_file()]
 
 
 def _checked(path: Path, load) -> None:

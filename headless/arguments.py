@@ -9,6 +9,7 @@ import argparse
 import os
 import re
 import sys
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -185,6 +186,9 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
     ),
 }
 
+# What lightmaps have no use for: their texels are no pixels of a grid, and hold the light of all groups.
+_OF_PICTURES = {"interleave", "light_groups"}
+
 # Of more than one suite.
 SIZE = OwnOption("--size", "size", {"type": resolution, "metavar": "WxH", "help": "pixels of the pictures"})
 REFERENCE_SAMPLES = OwnOption("--reference-samples", "reference_samples", {"type": count, "metavar": "N", "help": "of each half"})
@@ -291,7 +295,7 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
     _add_scene(bake, scene_is_open)
     bake.add_argument("-o", "--output", type=output_folder, required=True, metavar="DIR", help="where the lightmaps go")
     add_bake_settings(bake)
-    _add_light_settings(bake)
+    _add_light_settings(bake, without=_OF_PICTURES)
     bake.add_argument("--stats", type=output_file(".json"), metavar="FILE.json", help="write times, ray counts and warnings")
 
     compare = commands.add_parser("compare", help="error of one picture against another")
@@ -379,8 +383,8 @@ def _add_render_settings(parser: Parser) -> None:
     add("--debug-layers", action="store_true", **keep, help="also write clusters, gates and the light of single VPLs")
 
 
-def _add_light_settings(parser: Parser) -> None:
-    """The fields of `RenderSettings` that say how light is found, whatever is lit."""
+def _add_light_settings(parser: Parser, without: Collection[str] = ()) -> None:
+    """The fields of `RenderSettings` that say how light is found, whatever is lit; without: those that are left out."""
     add = parser.add_argument
     default = RenderSettings()
     keep = {"default": argparse.SUPPRESS}
@@ -391,7 +395,7 @@ def _add_light_settings(parser: Parser) -> None:
     add("--threads", type=size_or_none, metavar="T", **keep, help="threads (default: all cores)")
     add("--denoise", action=argparse.BooleanOptionalAction, **keep, help="denoise the light (default: as the method needs)")
     for method, options in METHOD_OPTIONS.items():
-        _add_own(parser, f"--method {method}", options)
+        _add_own(parser, f"--method {method}", tuple(option for option in options if option.field not in without))
 
 
 def _add_own(parser: Parser, owner: str, options: tuple[OwnOption, ...]) -> None:
@@ -420,6 +424,18 @@ def _render_settings(parser: Parser, given: dict) -> RenderSettings:
     return settings
 
 
+def _check_topology(parser: Parser, arguments: argparse.Namespace) -> None:
+    """Options of the topology need it to be asked for."""
+    changed = {
+        "--voxels": arguments.voxels != RenderSettings.voxels,
+        "--outside": arguments.outside != RenderSettings.outside,
+        "--cutouts": arguments.cutouts,
+    }
+    flag = next((flag for flag, given in changed.items() if given), None)
+    if flag and not arguments.topology and arguments.skeleton is None:
+        parser.error(f"{flag} belongs to --topology or --skeleton FILE.obj")
+
+
 def _suite_options(parser: Parser, given: dict) -> dict:
     """What the user gave of the suite's own options; one of another suite is an error."""
     own = {option.field for option in SUITE_OPTIONS.get(given["suite"], ())}
@@ -445,6 +461,8 @@ def parse(argv: list[str] | None = None, *, in_blender: bool = False) -> argpars
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
     if arguments.command == "bake" and arguments.gltf and arguments.content != "full":
         parser.error("--gltf needs --content full: glTF knows no lightmaps, so that their light shines from the materials")
+    if arguments.command == "inspect":
+        _check_topology(parser, arguments)
     if arguments.command in ("render", "bake"):
         arguments.settings = _render_settings(parser, vars(arguments))
     if arguments.command == "render":

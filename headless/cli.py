@@ -115,6 +115,11 @@ def _main(argv: list[str] | None, in_blender: bool, interrupts) -> int:
 
 
 def _run(arguments, interrupts) -> int:
+    from .limits import shortage
+
+    if (reason := shortage()) is not None:
+        print(f"lumigate: error: {reason}", file=sys.stderr)
+        return 2
     with interrupts.held():
         from ..core.errors import SceneError
         from ..core.threads import Cancelled

@@ -86,8 +86,8 @@ def _layer(picture: Layers, path: str | os.PathLike, name: str) -> np.ndarray:
 def _common(arrays: list[np.ndarray], pictures: list[Layers]) -> list[np.ndarray]:
     """The pixels that both data windows hold, where they are windows of one frame."""
     frames = [picture.full_size or picture.size for picture in pictures]
-    if frames[0] != frames[1]:
-        sizes = " and ".join(f"{width}x{height}" for width, height in frames)
+    if len(set(frames)) > 1:
+        sizes = " and ".join(f"{width}x{height}" for width, height in dict.fromkeys(frames))
         raise SceneError(f"the pictures are of different size, {sizes} pixels; render both at one size")
     x0, y0 = (max(picture.offset[axis] for picture in pictures) for axis in (0, 1))
     x1, y1 = (min(picture.offset[axis] + picture.size[axis] for picture in pictures) for axis in (0, 1))

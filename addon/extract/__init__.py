@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.errors import SceneError
 from ...core.scene import Camera, Scene
+from ..files import import_remarks
 from ..materials import MaterialUse, Shot, compile_materials
 from .camera import camera_warnings, extract_camera, find_camera, image_frame
 from .evaluation import in_render_depsgraph
@@ -148,7 +149,15 @@ def _assembled(
         frame=scene.frame_current,
         view_layer=layer.name,
         light_groups=tuple(group.name for group in layer.lightgroups),
-        warnings=[*found.warnings, *found.links.warnings, *dropped, *lamps.warnings, *world.warnings, *compiled.warnings],
+        warnings=[
+            *import_remarks(scene),
+            *found.warnings,
+            *found.links.warnings,
+            *dropped,
+            *lamps.warnings,
+            *world.warnings,
+            *compiled.warnings,
+        ],
         skipped=[*found.skipped, *lamps.skipped],
     )
 

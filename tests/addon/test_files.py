@@ -68,6 +68,13 @@ def test_obj_comes_with_its_material_and_a_camera_that_frames_it(obj):
     assert_framed(scene)
 
 
+def test_a_missing_material_library_is_named(obj):
+    assert not extract_scene(open_scene(obj)).warnings
+    obj.write_text("# mtllib of nothing\n" + obj.read_text().replace("mtllib ", "mtllib no such "))
+    (warning,) = (line for line in extract_scene(open_scene(obj)).warnings if "library" in line)
+    assert warning.startswith(f"'{obj.name}' names the material library 'no such ") and warning.endswith("its materials are grey")
+
+
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
 def test_gltf_comes_with_its_meshes_lights_and_camera(tmp_path, suffix):
     scene = empty()

@@ -119,6 +119,9 @@ def warned(stats: dict, *words: str) -> bool:
         (["render", "cornell", "-o", "OUT", "--frame", "2000000"], ["--frame", "1048574"]),
         (["render", "cornell", "-o", "OUT", "--frames", "9-2"], ["--frames", "2-9"]),
         (["compare", "a.exr", "b.exr"], ["a.exr", "check the path"]),
+        (["inspect", "cornell", "--outside", "open"], ["--outside", "--topology"]),
+        (["bake", "cornell", "-o", "maps", "--no-light-groups"], ["--no-light-groups"]),
+        (["bake", "cornell", "-o", "maps", "--interleave", "2"], ["--interleave"]),
     ],
 )
 def test_wrong_arguments_are_named(run, tmp_path, argv, words):
@@ -310,6 +313,17 @@ def picture(tmp_path):
 def test_pictures_of_different_size(run, picture):
     a, b = picture("a.exr", Indirect=np.ones((4, 4, 3))), picture("b.exr", Indirect=np.ones((4, 5, 3)))
     assert_refused(run("compare", a, b), "4x4", "5x4")
+
+
+def test_too_few_addresses(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(resource, "getrlimit", lambda _kind: (3 << 29, 3 << 29))
+    assert_refused(run("render", "cornell", "-o", tmp_path / "out.exr"), "1.5 GiB", "1.8", "ulimit -v")
+
+
+@pytest.mark.parametrize("role", ["--half", "--against"])
+def test_further_pictures_of_different_size(run, picture, role):
+    a, b = picture("a.exr", Indirect=np.ones((4, 4, 3))), picture("b.exr", Indirect=np.ones((8, 8, 3)))
+    assert_refused(run("compare", a, a, role, b), "4x4", "8x8")
 
 
 def test_missing_layer(run, picture):
