@@ -13,56 +13,37 @@ from .engine import LumigateEngine
 _GENERIC = "BLENDER_RENDER"
 _NOT_OURS = {"VIEWLAYER_PT_filter", "VIEWLAYER_PT_layer_passes", "DATA_PT_light", "DATA_PT_spot"}
 _SHARED = ("EEVEE_MATERIAL_PT_context_material", "MATERIAL_PT_preview", "VIEWLAYER_PT_override")
-# Cycles' panels of what a render heeds: they show the nodes of Cycles' output, beams, ray visibility and light groups.
-_CYCLES = (
-    "CYCLES_MATERIAL_PT_surface",
-    "CYCLES_MATERIAL_PT_displacement",
-    "CYCLES_WORLD_PT_surface",
-    "CYCLES_WORLD_PT_ray_visibility",
-    "CYCLES_WORLD_PT_settings",
-    "CYCLES_WORLD_PT_settings_light_group",
-    "CYCLES_LIGHT_PT_light",
-    "CYCLES_LIGHT_PT_beam_shape",
-    "CYCLES_LIGHT_PT_settings",
-    "CYCLES_LIGHT_PT_nodes",
-    "CYCLES_OBJECT_PT_visibility",
-    "CYCLES_OBJECT_PT_visibility_ray_visibility",
-    "CYCLES_OBJECT_PT_lightgroup",
-    "CYCLES_RENDER_PT_override",  # before Blender 5
-)
-_OF_CYCLES_TOO = {"OBJECT_PT_visibility"}  # Cycles' own has all of it
+# Cycles' own, which `cycles_panels` shows, have all of it.
+_LIKE_CYCLES = {"OBJECT_PT_visibility"}
 # Where Cycles' add-on is switched off.
 _EEVEE = ("EEVEE_MATERIAL_PT_surface", "EEVEE_WORLD_PT_surface", "DATA_PT_EEVEE_light", "DATA_PT_spot")
 
-_before: dict[type, set[str] | None] = {}  # None where a panel's own class said nothing
+_before: dict[type, set[str]] = {}
 
 
 def _serving() -> list[type]:
     """The panels of this Blender that are to be shown."""
-    has_cycles = hasattr(bpy.types, _CYCLES[0])
-    hidden = _NOT_OURS | _OF_CYCLES_TOO if has_cycles else _NOT_OURS
+    has_cycles = hasattr(bpy.types.Scene, "cycles")
+    hidden = _NOT_OURS | _LIKE_CYCLES if has_cycles else _NOT_OURS
     generic = [
         panel
         for panel in bpy.types.Panel.__subclasses__()
         # An inherited set would show every panel of the family.
         if _GENERIC in panel.__dict__.get("COMPAT_ENGINES", ()) and panel.__name__ not in hidden
     ]
-    named = [getattr(bpy.types, name, None) for name in (*_SHARED, *(_CYCLES if has_cycles else _EEVEE))]
+    named = [getattr(bpy.types, name, None) for name in (*_SHARED, *(() if has_cycles else _EEVEE))]
     return list(dict.fromkeys([*generic, *(panel for panel in named if panel is not None)]))
 
 
 def attach() -> None:
     """Show them."""
     for panel in _serving():
-        _before[panel] = panel.__dict__.get("COMPAT_ENGINES")
+        _before[panel] = panel.COMPAT_ENGINES
         panel.COMPAT_ENGINES = panel.COMPAT_ENGINES | {LumigateEngine.bl_idname}
 
 
 def detach() -> None:
     """Put back what each panel said."""
     for panel, engines in _before.items():
-        if engines is None:
-            del panel.COMPAT_ENGINES
-        else:
-            panel.COMPAT_ENGINES = engines
+        panel.COMPAT_ENGINES = engines
     _before.clear()

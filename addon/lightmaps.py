@@ -76,7 +76,7 @@ def choose_objects(
     there = [ob for ob in rendered if ob.type == "MESH" and len(ob.data.polygons) and not ob.hide_render]
     chosen = [ob for ob in there if ob.select_get(view_layer=layer)] if selected else there
     if not chosen:
-        reason = "no mesh object is selected: select some in Blender and save the file, or name them" if selected else "it has no meshes"
+        reason = "no mesh object is selected: select some, or bake others than the selected ones" if selected else "it has no meshes"
         raise SceneError(f"scene '{scene.name}': there is nothing to bake, {reason}")
     return sorted(chosen, key=lambda ob: ob.name)
 

@@ -37,13 +37,16 @@ class RenderPanel(_RenderPanel, bpy.types.Panel):
 
     bl_idname = "LUMIGATE_PT_render"
     bl_label = "Lumigate"
+    bl_order = -1  # above Simplify
 
     def draw(self, context: bpy.types.Context) -> None:
         """Method and aim, then what can be started."""
         layout = self.columns()
         settings, state = context.scene.lumigate, context.window_manager.lumigate
         layout.prop(settings, "method")
-        layout.row().prop(settings, "goal", expand=True)
+        aims = layout.row()
+        aims.use_property_split = False  # beside a label there is no room for their names
+        aims.prop(settings, "goal", expand=True)
         layout.prop(settings, {"QUALITY": "quality", "TIME": "time_budget", "ERROR": "target_error"}[settings.goal])
         layout.separator()
         if state.running:

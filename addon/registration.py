@@ -9,6 +9,7 @@ import bpy
 
 from . import (
     compat,
+    cycles_panels,
     engine,
     job,
     lightmap_operators,
@@ -22,7 +23,7 @@ from . import (
 )
 
 # Properties first, for the others show them; each module lists its CLASSES.
-MODULES = (properties, lightmap_properties, passes, state, engine, operators, lightmap_operators, panels, lightmap_panel)
+MODULES = (properties, lightmap_properties, passes, state, engine, operators, lightmap_operators, panels, lightmap_panel, cycles_panels)
 # What is hung onto Blender's own types, once the classes are there.
 ATTACHED = (properties, lightmap_properties, passes, state, compat)
 

@@ -3,12 +3,14 @@
 import threading
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
+import addon_utils
 import bpy
 import pytest
 
 import lumigate
-from lumigate.addon import compat, job, registration
+from lumigate.addon import job, registration
 from lumigate.core.threads import end_threads, run_chunks
 
 ROOT = Path(lumigate.__file__).parent
@@ -71,27 +73,69 @@ def test_a_running_job_ends_with_the_extension():
     assert running.done and running.cancelled
 
 
+class Drawn:
+    """A layout that notes the properties which a panel draws."""
+
+    def __init__(self):
+        self.names = []
+
+    def __getattr__(self, _name):
+        return lambda *_args, **_keywords: self
+
+    def prop(self, _owner, name, *_args, **_keywords):
+        self.names.append(name)
+
+    prop_search = prop
+
+
+def drawn(panel, context) -> list[str]:
+    """What a panel shows in `context`: nothing where it or one of its parents is not there."""
+    layout, parents = Drawn(), [panel]
+    while parent := getattr(parents[-1], "bl_parent_id", ""):
+        parents.append(getattr(bpy.types, parent))
+    if all(shown.poll(context) for shown in parents if hasattr(shown, "poll")):
+        panel.draw(SimpleNamespace(layout=layout, columns=lambda: layout, bl_space_type="PROPERTIES"), context)
+    return layout.names
+
+
 @pytest.mark.parametrize(
-    "name",
+    ("name", "shown"),
     [
-        "RENDER_PT_color_management",
-        "RENDER_PT_simplify",
-        "CYCLES_MATERIAL_PT_surface",
-        "CYCLES_WORLD_PT_surface",
-        "CYCLES_WORLD_PT_settings_light_group",
-        "CYCLES_LIGHT_PT_light",
-        "CYCLES_LIGHT_PT_beam_shape",  # a spot's cone, an area's spread
-        "CYCLES_LIGHT_PT_nodes",
-        "CYCLES_OBJECT_PT_visibility_ray_visibility",
-        "CYCLES_OBJECT_PT_lightgroup",
+        ("RENDER_PT_simplify_render", "simplify_subdivision_render"),
+        ("LUMIGATE_PT_film", "pixel_filter_type"),
+        ("LUMIGATE_LIGHT_PT_light", "energy"),
+        ("LUMIGATE_LIGHT_PT_beam_shape", "spot_size"),
+        ("LUMIGATE_LIGHT_PT_settings", "use_shadow"),
+        ("LUMIGATE_OBJECT_PT_visibility_ray_visibility", "visible_diffuse"),
+        ("LUMIGATE_OBJECT_PT_lightgroup", "lightgroup"),
+        ("LUMIGATE_WORLD_PT_ray_visibility", "camera"),
+        ("LUMIGATE_WORLD_PT_settings_light_group", "lightgroup"),
     ],
 )
-def test_blenders_panels_of_what_counts_serve_the_engine(registered, name):
+def test_what_counts_can_be_edited(registered, name, shown):
+    scene = bpy.context.scene
+    lamp = bpy.data.objects.new("Spot", bpy.data.lights.new("Spot", "SPOT"))
+    own = {
+        "light": lamp.data,
+        "object": lamp,
+        "world": bpy.data.worlds.new("Sky"),
+        "view_layer": scene.view_layers[0],
+        "scene": scene,
+        "preferences": bpy.context.preferences,
+    }
     panel = getattr(bpy.types, name)
-    parents = [panel]
-    while getattr(parents[-1], "bl_parent_id", ""):
-        parents.append(getattr(bpy.types, parents[-1].bl_parent_id))
-    assert all("LUMIGATE" in shown.COMPAT_ENGINES for shown in parents)
+    assert shown in drawn(panel, SimpleNamespace(engine="LUMIGATE", **own))
+    if name.startswith("LUMIGATE"):  # beside Cycles' own
+        assert not panel.poll(SimpleNamespace(engine="CYCLES", **own))
+
+
+@pytest.mark.parametrize("kind", ["surface", "displacement"])
+def test_materials_show_their_nodes(registered, kind):
+    material = bpy.data.materials.new("Paint")
+    if not material.node_tree:
+        material.use_nodes = True
+    assert getattr(bpy.types, f"LUMIGATE_MATERIAL_PT_{kind}").poll(SimpleNamespace(engine="LUMIGATE", material=material))
+    assert not getattr(bpy.types, f"LUMIGATE_MATERIAL_PT_{kind}").poll(SimpleNamespace(engine="LUMIGATE", material=None))
 
 
 @pytest.mark.parametrize(
@@ -101,13 +145,16 @@ def test_panels_of_what_does_not_count_are_hidden(registered, name):
     assert "LUMIGATE" not in getattr(bpy.types, name).COMPAT_ENGINES
 
 
-def test_lamps_have_a_panel_without_cycles(monkeypatch):
-    monkeypatch.setattr(compat, "_CYCLES", ("NO_PT_such_panel",))
-    lumigate.register()
+def test_lamps_have_a_panel_without_cycles():
+    addon_utils.disable("cycles")
     try:
-        assert all("LUMIGATE" in getattr(bpy.types, name).COMPAT_ENGINES for name in ("DATA_PT_EEVEE_light", "DATA_PT_spot"))
-    finally:
+        lumigate.register()
+        context = SimpleNamespace(engine="LUMIGATE", light=bpy.data.lights.new("Spot", "SPOT"))
+        assert "spot_size" in drawn(bpy.types.DATA_PT_spot, context)
+        assert not bpy.types.LUMIGATE_LIGHT_PT_light.poll(context)
         lumigate.unregister()
+    finally:
+        addon_utils.enable("cycles")
 
 
 def test_operators_are_offered_only_with_a_camera(registered):
