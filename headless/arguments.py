@@ -16,7 +16,7 @@ from pathlib import Path
 from .. import __version__, sample_scenes
 from ..core.settings import QUALITY_ERRORS, RenderSettings
 from .argument_types import count, positive, size_or_none
-from .bake_arguments import add_bake_settings
+from .bake_arguments import add_bake_settings, check_attributes
 from .farm_arguments import add_farm, border, finish_farm
 from .outputs import OutputError, check_file, check_folder
 from .sequence_arguments import add_sequence, frame, frame_range, sequence_settings
@@ -461,6 +461,8 @@ def parse(argv: list[str] | None = None, *, in_blender: bool = False) -> argpars
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
     if arguments.command == "bake" and arguments.gltf and arguments.content != "full":
         parser.error("--gltf needs --content full: glTF knows no lightmaps, so that their light shines from the materials")
+    if arguments.command == "bake":
+        check_attributes(parser, arguments)
     if arguments.command == "inspect":
         _check_topology(parser, arguments)
     if arguments.command in ("render", "bake"):

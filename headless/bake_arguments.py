@@ -42,4 +42,22 @@ def add_bake_settings(parser: argparse.ArgumentParser) -> None:
     add("--no-stitch", dest="stitch", action="store_false", help="leave UV seams as they are")
     add("--uv-map", default="Lightmap", metavar="NAME", help="the UV map to bake on, made where it is missing (default: %(default)s)")
     add("--unwrap", choices=("smart", "pack"), default="smart", help="Blender's Smart UV Project or Lightmap Pack (default: %(default)s)")
+    add(
+        "--attributes",
+        action="store_true",
+        help="no images: the light at the corners of faces as colour attributes of the meshes, in scene.blend",
+    )
     add("--gltf", action="store_true", help="also write scene.glb, whose materials shine with their lightmaps (needs --content full)")
+
+
+def check_attributes(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """What colour attributes have no use for is an error beside them."""
+    given = {
+        "--texel-density": arguments.texel_density is not None,
+        "--atlas": arguments.atlas,
+        "--gltf": arguments.gltf,
+        "--stats": arguments.stats is not None,
+    }
+    flag = next((flag for flag, is_given in given.items() if is_given), None)
+    if arguments.attributes and flag:
+        parser.error(f"{flag} belongs to lightmaps, not to --attributes")

@@ -9,7 +9,7 @@ from .argument_types import count, names
 from .sequence_arguments import frame_range
 
 # Options of `render` and `bake` that name files of the machine where they run, or belong to the farm itself.
-_NOT_HANDED_ON = ("--stats", "--json", "--part", "--border", "--frame", "--objects", "--selected", "--atlas", "--gltf")
+_NOT_HANDED_ON = ("--stats", "--json", "--part", "--border", "--frame", "--objects", "--selected", "--atlas", "--attributes", "--gltf")
 
 
 def border(text: str) -> tuple[int, int, int, int]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 
+from ...addon.lightmap_attributes import ATTRIBUTE, bake_attributes
 from ...addon.lightmap_export import export_gltf
 from ...addon.lightmap_files import write_lightmap
 from ...addon.lightmap_uv import Unwrap
@@ -24,10 +25,13 @@ EXPORT = "scene.glb"
 
 
 def run(arguments: Namespace, terminal: Terminal) -> None:
-    """Bake, and leave the images, a list of them, and the scene with the UV maps that had to be made."""
+    """Bake, and leave the images, a list of them, and the scene with the UV maps that had to be made; or the scene with its attributes."""
     scene = open_source(arguments.scene)
     request = request_of(arguments)
     objects = choose_objects(scene, arguments.objects, selected=arguments.selected)
+    if arguments.attributes:
+        _bake_attributes(scene, objects, request.bake, arguments.output, terminal)
+        return
     with terminal.progress() as progress, quiet():
         baked = bake_scene(scene, objects, request, progress)
     stats = baked.result.stats
@@ -45,6 +49,24 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     terminal.out.print(
         f"{arguments.output}: {count} lightmap{'s' * (count > 1)} of {len(objects)} object{'s' * (len(objects) > 1)}, {texels:,} texels, "
         f"{stats['method']}, {stats['seconds_total']:.2f} s; {', '.join(written)}",
+        markup=False,
+        soft_wrap=True,
+    )
+
+
+def _bake_attributes(
+    scene: bpy.types.Scene, objects: list[bpy.types.Object], settings: BakeSettings, output: Path, terminal: Terminal
+) -> None:
+    """Leave the scene, whose meshes hold their light."""
+    with terminal.progress() as progress, quiet():
+        warnings = bake_attributes(scene, objects, settings, progress)
+    for warning in warnings:
+        terminal.warn(warning)
+    with whole_folder(output) as folder, quiet():
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder / SCENE), copy=True, compress=True)
+    count = len(objects)
+    terminal.out.print(
+        f"{output}: the light of {count} object{'s' * (count > 1)} in the colour attribute '{ATTRIBUTE}'; {SCENE}",
         markup=False,
         soft_wrap=True,
     )

@@ -75,6 +75,18 @@ def test_the_selected_object_in_bytes_with_their_scale(box_file, tmp_path):
     assert np.abs(decoded - exact).max() < 0.01 * exact.max()
 
 
+def test_attributes_are_in_the_scene(box_file, tmp_path, capsys):
+    folder = tmp_path / "out"
+    capsys.readouterr()
+    assert main(["bake", str(box_file), "-o", str(folder), "--objects", "Floor", "--attributes", *SMALL]) == 0
+    assert "1 object in the colour attribute 'Lightmap Color'" in capsys.readouterr().out
+    assert [path.name for path in folder.iterdir()] == ["scene.blend"]
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+    light = np.array([corner.color[:3] for corner in bpy.data.objects["Floor"].data.color_attributes["Lightmap Color"].data])
+    assert light.shape == (4, 3) and (light > 0.1).all()
+    assert not bpy.data.objects["Box/1"].data.color_attributes
+
+
 def test_gltf_has_the_light_on_its_second_uv_map(box_file, tmp_path):
     folder = tmp_path / "out"
     assert main(["bake", str(box_file), "-o", str(folder), "--size", "32", "--atlas", "--content", "full", "--gltf", *SMALL]) == 0

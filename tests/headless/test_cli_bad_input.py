@@ -122,6 +122,7 @@ def warned(stats: dict, *words: str) -> bool:
         (["inspect", "cornell", "--outside", "open"], ["--outside", "--topology"]),
         (["bake", "cornell", "-o", "maps", "--no-light-groups"], ["--no-light-groups"]),
         (["bake", "cornell", "-o", "maps", "--interleave", "2"], ["--interleave"]),
+        (["bake", "cornell", "-o", "maps", "--attributes", "--atlas"], ["--atlas", "--attributes"]),
     ],
 )
 def test_wrong_arguments_are_named(run, tmp_path, argv, words):
