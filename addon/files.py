@@ -19,7 +19,8 @@ _REMARKS = "lumigate_import"  # of a scene: lines about what its file lacked
 def open_scene(path: str | Path) -> bpy.types.Scene:
     """Load a file in place of the open one; its scene.
 
-    Scripts in .blend files do not run.  An imported model that brings no camera gets one that frames it.
+    Scripts in .blend files do not run.  An imported model that brings no camera gets one that frames it; one that brings no light is lit
+    by an even white sky.
 
     Raises:
         SceneError: the file is missing, unreadable, empty or of an unsupported type.
@@ -40,10 +41,11 @@ def open_scene(path: str | Path) -> bpy.types.Scene:
     if not meshes:
         raise SceneError(f"'{path}' holds no faces: there is nothing to render")
     scene = bpy.context.scene
-    if suffix == ".obj":
-        scene[_REMARKS] = "\n".join(
-            f"'{path.name}' names the material library '{name}', which is not beside it: its materials are grey" for name in _lacking(path)
-        )
+    remarks = _lacking(path) if suffix == ".obj" else []
+    if not any(ob.type == "LIGHT" for ob in scene.objects) and not any(map(_shines, bpy.data.materials)):
+        _light_evenly(scene)
+        remarks.append(f"'{path.name}' brings no light: an even white sky of radiance 1 lights it")
+    scene[_REMARKS] = "\n".join(remarks)
     scene.camera = next((ob for ob in scene.objects if ob.type == "CAMERA"), None) or _framing_camera(scene, meshes)
     return scene
 
@@ -54,7 +56,7 @@ def import_remarks(scene: bpy.types.Scene) -> list[str]:
 
 
 def _lacking(path: Path) -> list[str]:
-    """The material libraries that an OBJ file names and that are not there: Blender's importer says nothing of them."""
+    """A line for each material library that an OBJ file names and that is not there: Blender's importer says nothing of them."""
     names = []
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
         at = text.find(b"mtllib")
@@ -64,7 +66,28 @@ def _lacking(path: Path) -> list[str]:
             if (at == 0 or text[at - 1 : at] in b"\r\n") and len(line) == 2:
                 names.append(line[1].strip())
             at = text.find(b"mtllib", at + 1)
-    return [name for name in dict.fromkeys(names) if not (path.parent / name.replace("\\", "/")).is_file()]
+    missing = [name for name in dict.fromkeys(names) if not (path.parent / name.replace("\\", "/")).is_file()]
+    return [f"'{path.name}' names the material library '{name}', which is not beside it: its materials are grey" for name in missing]
+
+
+def _shines(material: bpy.types.Material) -> bool:
+    """Whether an importer has made a material that may emit light."""
+    nodes = material.node_tree.nodes if material.node_tree else ()
+    return any(node.type == "EMISSION" or (node.type == "BSDF_PRINCIPLED" and _emits(node)) for node in nodes)
+
+
+def _emits(principled: bpy.types.Node) -> bool:
+    color, strength = principled.inputs["Emission Color"], principled.inputs["Emission Strength"]
+    return (color.is_linked or any(color.default_value[:3])) and (strength.is_linked or strength.default_value > 0)
+
+
+def _light_evenly(scene: bpy.types.Scene) -> None:
+    """A white sky of radiance 1."""
+    scene.world = bpy.data.worlds.new("Sky")
+    if scene.world.node_tree is None:  # before Blender 5
+        scene.world.use_nodes = True
+    background = next(node for node in scene.world.node_tree.nodes if node.type == "BACKGROUND")
+    background.inputs["Color"].default_value, background.inputs["Strength"].default_value = (1, 1, 1, 1), 1.0
 
 
 def _checked(path: Path, load) -> None:

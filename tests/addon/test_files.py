@@ -69,10 +69,21 @@ def test_obj_comes_with_its_material_and_a_camera_that_frames_it(obj):
 
 
 def test_a_missing_material_library_is_named(obj):
-    assert not extract_scene(open_scene(obj)).warnings
+    assert not [line for line in extract_scene(open_scene(obj)).warnings if "library" in line]
     obj.write_text("# mtllib of nothing\n" + obj.read_text().replace("mtllib ", "mtllib no such "))
     (warning,) = (line for line in extract_scene(open_scene(obj)).warnings if "library" in line)
     assert warning.startswith(f"'{obj.name}' names the material library 'no such ") and warning.endswith("its materials are grey")
+
+
+@pytest.mark.parametrize("shining", [False, True])
+def test_a_model_without_light_is_lit_by_a_sky(obj, shining):
+    if shining:
+        (obj.parent / "box.mtl").write_text(MTL + "Ke 1 1 1\n")
+    arrays = extract_scene(open_scene(obj))
+    assert [line for line in arrays.warnings if "sky" in line] == (
+        [] if shining else ["'box.obj' brings no light: an even white sky of radiance 1 lights it"]
+    )
+    np.testing.assert_allclose(arrays.world.radiance.reshape(-1, 3), [[0, 0, 0] if shining else [1, 1, 1]])
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
