@@ -209,4 +209,33 @@ class LightGroupListPanel(ViewLayerLightgroupsPanelHelper, bpy.types.Panel):
     COMPAT_ENGINES = {LumigateEngine.bl_idname}
 
 
-CLASSES = (RenderPanel, NumbersPanel, LightGroupsPanel, FilmPanel, ScenePanel, PassesPanel, LightGroupListPanel)
+class PanoramaPanel(bpy.types.Panel):
+    """What of a panoramic camera counts: Blender's own panel shows it for Cycles alone."""
+
+    bl_idname = "LUMIGATE_PT_panorama"
+    bl_parent_id = "DATA_PT_lens"
+    bl_label = "Panorama"
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
+    bl_context = "data"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only panoramic cameras have one."""
+        return context.engine == LumigateEngine.bl_idname and context.camera is not None and context.camera.type == "PANO"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The type, and how far the picture reaches."""
+        layout, camera = self.layout, context.camera
+        layout.use_property_split = True
+        layout.prop(camera, "panorama_type")
+        if camera.panorama_type != "EQUIRECTANGULAR":
+            layout.label(text="Only Equirectangular is rendered", icon="ERROR")
+            return
+        for axis in ("latitude", "longitude"):
+            column = layout.column(align=True)
+            column.prop(camera, f"{axis}_min", text=f"{axis.title()} Min")
+            column.prop(camera, f"{axis}_max", text="Max")
+
+
+CLASSES = (RenderPanel, NumbersPanel, LightGroupsPanel, FilmPanel, ScenePanel, PassesPanel, LightGroupListPanel, PanoramaPanel)

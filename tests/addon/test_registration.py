@@ -88,6 +88,16 @@ class Drawn:
     prop_search = prop
 
 
+@pytest.mark.parametrize("kind", ["MIRRORBALL", "EQUIRECTANGULAR"])
+def test_panoramas_that_are_refused_say_so(registered, kind):
+    camera, labels = bpy.data.cameras.new("Dome"), []
+    camera.type, camera.panorama_type = "PANO", kind
+    layout = Drawn()
+    layout.label = lambda text, **_keywords: labels.append(text)
+    bpy.types.LUMIGATE_PT_panorama.draw(SimpleNamespace(layout=layout), SimpleNamespace(camera=camera))
+    assert labels == (["Only Equirectangular is rendered"] if kind == "MIRRORBALL" else [])
+
+
 def drawn(panel, context) -> list[str]:
     """What a panel shows in `context`: nothing where it or one of its parents is not there."""
     layout, parents = Drawn(), [panel]
@@ -103,6 +113,7 @@ def drawn(panel, context) -> list[str]:
     [
         ("RENDER_PT_simplify_render", "simplify_subdivision_render"),
         ("LUMIGATE_PT_film", "pixel_filter_type"),
+        ("LUMIGATE_PT_panorama", "latitude_max"),
         ("LUMIGATE_LIGHT_PT_light", "energy"),
         ("LUMIGATE_LIGHT_PT_beam_shape", "spot_size"),
         ("LUMIGATE_LIGHT_PT_settings", "use_shadow"),
@@ -115,7 +126,10 @@ def drawn(panel, context) -> list[str]:
 def test_what_counts_can_be_edited(registered, name, shown):
     scene = bpy.context.scene
     lamp = bpy.data.objects.new("Spot", bpy.data.lights.new("Spot", "SPOT"))
+    camera = bpy.data.cameras.new("Dome")
+    camera.type, camera.panorama_type = "PANO", "EQUIRECTANGULAR"
     own = {
+        "camera": camera,
         "light": lamp.data,
         "object": lamp,
         "world": bpy.data.worlds.new("Sky"),
