@@ -13,6 +13,8 @@ from .job import Job, loading, render_job
 from .passes import COMBINED, group_names, hand_over, left_out, long_name, long_names, passes_of, register_passes
 
 if TYPE_CHECKING:
+    from ..core.scene import Camera, Scene
+    from ..core.settings import RenderSettings
     from .viewport import Viewport
 
 _POLL = 0.03  # seconds between two looks at Esc
@@ -36,18 +38,19 @@ class LumigateEngine(bpy.types.RenderEngine):
         if not self._watch(loading()):
             return
         try:
-            job = self._begin(depsgraph)
+            scene, settings, seconds = self._read(depsgraph)
+            eyes = self._eyes(depsgraph, scene)
+            for number, (view, camera) in enumerate(eyes):
+                seen = replace(scene, camera=camera)
+                job = render_job(seen, settings, extraction_seconds=seconds, exposure=_exposure(depsgraph.scene))
+                if not self._watch(job, number / len(eyes), 1 / len(eyes)):
+                    return
+                if job.error is not None:
+                    raise job.error
+                hand_over(self, job.result.layers, passes_of(depsgraph.scene, depsgraph.view_layer), view)
+            self._tell(job.result.stats, depsgraph)
         except SceneError as error:
             self._refuse(error)
-            return
-        if not self._watch(job):
-            return
-        if isinstance(job.error, SceneError):
-            self._refuse(job.error)
-        elif job.error is not None:
-            raise job.error
-        else:
-            self._deliver(job, depsgraph)
 
     def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Called by Blender when what a rendered viewport shows has changed."""
@@ -66,22 +69,42 @@ class LumigateEngine(bpy.types.RenderEngine):
             self.viewport = Viewport()
         return self.viewport
 
-    def _begin(self, depsgraph: bpy.types.Depsgraph) -> Job:
-        """Read Blender's data here, where it may be read, and start the rest."""
+    def _read(self, depsgraph: bpy.types.Depsgraph) -> tuple[Scene, RenderSettings, float]:
+        """Blender's data, here, where it may be read; the request; seconds that it took."""
         from .extract import extract_scene
-        from .extract.film import extract_film, film_exposure
+        from .extract.film import extract_film
 
         self.update_stats("", "Lumigate: reading the scene")
         begin = time.perf_counter()
         camera = self.camera_override
-        arrays = extract_scene(depsgraph.scene, camera=camera and camera.name, depsgraph=depsgraph)
+        scene = extract_scene(depsgraph.scene, camera=camera and camera.name, depsgraph=depsgraph)
         wanted = (COMBINED, *depsgraph.view_layer.lumigate.wanted())
         settings = replace(depsgraph.scene_eval.lumigate.as_settings(), layers=wanted, film=extract_film(depsgraph.scene))
-        seconds, exposure = time.perf_counter() - begin, film_exposure(depsgraph.scene)
-        return render_job(arrays, settings, extraction_seconds=seconds, exposure=exposure)
+        return scene, settings, time.perf_counter() - begin
 
-    def _watch(self, job: Job) -> bool:
-        """Show how far the job is until it ends; False where the user has cancelled it."""
+    def _eyes(self, depsgraph: bpy.types.Depsgraph, scene: Scene) -> list[tuple[str, Camera]]:
+        """Name and camera of each view to render: of several only with stereoscopy, else one of no name."""
+        from .extract.camera import extract_camera, image_frame
+
+        render = depsgraph.scene.render
+        if not render.use_multiview:
+            return [("", scene.camera)]
+        found = []
+        for view in (view.name for view in render.views if view.use):
+            self.active_view_set(view)
+            eye = self.camera_override or depsgraph.scene_eval.camera
+            camera = extract_camera(
+                eye, image_frame(depsgraph.scene), matrix=self.camera_model_matrix(eye), shift_x=self.camera_shift_x(eye)
+            )
+            camera.matrix[:3, 3] -= scene.origin
+            found.append((view, camera))
+        return found
+
+    def _watch(self, job: Job, begin: float = 0.0, share: float = 1.0) -> bool:
+        """Show how far the job is until it ends; False where the user has cancelled it.
+
+        begin, share: where in the whole work it begins, and its part of it, 0 to 1.
+        """
         shown = ""
         while not job.wait(_POLL):
             if self.test_break():
@@ -90,12 +113,11 @@ class LumigateEngine(bpy.types.RenderEngine):
             if shown != str(job.progress):
                 shown = str(job.progress)
                 self.update_stats("", f"Lumigate: {shown}")
-            self.update_progress(job.progress.fraction)
+            self.update_progress(begin + share * job.progress.fraction)
         return not job.cancelled
 
-    def _deliver(self, job: Job, depsgraph: bpy.types.Depsgraph) -> None:
-        layers, stats = job.result.layers, job.result.stats
-        hand_over(self, layers, passes_of(depsgraph.scene, depsgraph.view_layer))
+    def _tell(self, stats: dict, depsgraph: bpy.types.Depsgraph) -> None:
+        """What of the picture is wrong, and what it took."""
         too_long = long_names(group_names(depsgraph.scene, depsgraph.view_layer))
         for warning in (*stats["warnings"], *(long_name(name) for name in too_long), *left_out(depsgraph.view_layer)):
             self.report({"WARNING"}, warning)
@@ -106,6 +128,12 @@ class LumigateEngine(bpy.types.RenderEngine):
         """Say what is wrong with the scene: to whoever has started the render, and above the picture that there is not."""
         self.report({"ERROR"}, str(error))
         self.error_set(str(error))
+
+
+def _exposure(scene: bpy.types.Scene) -> float:
+    from .extract.film import film_exposure
+
+    return film_exposure(scene)
 
 
 CLASSES = (LumigateEngine,)

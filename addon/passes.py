@@ -103,12 +103,12 @@ def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view
         engine.register_pass(scene, view_layer, name, *_channels(name))
 
 
-def hand_over(engine: bpy.types.RenderEngine, layers: Layers, wanted: list[str]) -> None:
-    """Give the layers of a render to Blender as the passes of its view layer."""
+def hand_over(engine: bpy.types.RenderEngine, layers: Layers, wanted: list[str], view: str = "") -> None:
+    """Give the layers of a render to Blender as the passes of its view layer; view: of stereoscopy, one of the scene's render views."""
     for name in wanted:
         channels, letters, _ = _channels(name)
         engine.add_pass(name, channels, letters, layer=layers.view_layer)
-    result = engine.begin_result(0, 0, *layers.size, layer=layers.view_layer)
+    result = engine.begin_result(0, 0, *layers.size, layer=layers.view_layer, view=view)
     for target in result.layers[0].passes:
         if target.name in layers:
             target.rect.foreach_set(_bottom_up(layers[target.name], target.channels).ravel())

@@ -48,7 +48,7 @@ def extract_scene(
     _go_to(scene, frame)
     eye = find_camera(scene, camera) if lightmaps is None else None
     pixels = eye and image_frame(scene, size)
-    warnings = camera_warnings(eye, scene) if eye else []
+    warnings = camera_warnings(eye, scene, views=depsgraph is not None) if eye else []
     layer = _view_layer(scene, view_layer, depsgraph)
 
     def read(graph: bpy.types.Depsgraph):

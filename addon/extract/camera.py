@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from ...core.errors import SceneError
 from ...core.scene import Camera
@@ -76,14 +77,16 @@ def image_frame(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> 
     return Frame(int(width), int(height), border, render.pixel_aspect_x / render.pixel_aspect_y)
 
 
-def extract_camera(camera: bpy.types.Object, frame: Frame) -> Camera:
+def extract_camera(camera: bpy.types.Object, frame: Frame, *, matrix: Matrix | None = None, shift_x: float | None = None) -> Camera:
     """An evaluated camera object; its position is still in world space.
+
+    matrix, shift_x: those of one of two eyes, else the camera's own.
 
     Raises:
         SceneError: its scale is zero.
     """
     data = camera.data
-    placed = np.array(camera.matrix_world, np.float64)
+    placed = np.array(camera.matrix_world if matrix is None else matrix, np.float64)
     length = np.linalg.norm(placed[:3, :3], axis=0)
     if not np.isfinite(placed).all() or (length == 0).any():
         raise SceneError(f"camera '{camera.name}' has a scale of zero or an invalid position: reset its transform")
@@ -92,7 +95,7 @@ def extract_camera(camera: bpy.types.Object, frame: Frame) -> Camera:
         matrix=placed,
         orthographic=data.type == "ORTHO",
         panorama=data.type == "PANO",
-        window=_window(data, frame),
+        window=_window(data, frame, data.shift_x if shift_x is None else shift_x),
         width=frame.width,
         height=frame.height,
         border=frame.border,
@@ -102,14 +105,14 @@ def extract_camera(camera: bpy.types.Object, frame: Frame) -> Camera:
     )
 
 
-def camera_warnings(camera: bpy.types.Object, scene: bpy.types.Scene) -> list[str]:
-    """What of the camera and its shutter is not rendered."""
+def camera_warnings(camera: bpy.types.Object, scene: bpy.types.Scene, *, views: bool = False) -> list[str]:
+    """What of the camera and its shutter is not rendered; views: all views of stereoscopy are."""
     warnings = []
     if camera.data.dof.use_dof:
         warnings.append(f"depth of field of camera '{camera.name}' is ignored: everything is in focus")
     if scene.render.use_motion_blur:
         warnings.append(f"motion blur of scene '{scene.name}' is ignored: frame {scene.frame_current} is rendered as it stands")
-    if scene.render.use_multiview:
+    if scene.render.use_multiview and not views:
         warnings.append(f"stereoscopy of scene '{scene.name}' is ignored: one view is rendered")
     return warnings
 
@@ -118,7 +121,7 @@ def _cameras(scene: bpy.types.Scene) -> str:
     return ", ".join(sorted(ob.name for ob in scene.objects if ob.type == "CAMERA")) or "none (add one)"
 
 
-def _window(data: bpy.types.Camera, frame: Frame) -> tuple[float, float, float, float]:
+def _window(data: bpy.types.Camera, frame: Frame, shift_x: float) -> tuple[float, float, float, float]:
     """Left, right, bottom and top edge of the image at distance 1, or in metres if orthographic, in radians if panoramic.
 
     The larger side (or the one that the sensor fit names) spans the sensor or the orthographic scale;
@@ -132,5 +135,5 @@ def _window(data: bpy.types.Camera, frame: Frame) -> tuple[float, float, float, 
     sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
     span = data.ortho_scale if data.type == "ORTHO" else sensor / data.lens
     half_x, half_y = (0.5 * span, 0.5 * span * high / wide) if horizontal else (0.5 * span * wide / high, 0.5 * span)
-    x, y = data.shift_x * span, data.shift_y * span
+    x, y = shift_x * span, data.shift_y * span
     return x - half_x, x + half_x, y - half_y, y + half_y

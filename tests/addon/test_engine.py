@@ -5,12 +5,13 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
+from mathutils import Vector
 
 from lumigate.addon import engine
 from lumigate.addon.extract import extract_scene
 from lumigate.addon.extract.film import extract_film
 from lumigate.addon.job import Job
-from lumigate.addon.passes import left_out
+from lumigate.addon.passes import hand_over, left_out
 from lumigate.core.layers import CONTRACT, exposed, read_exr
 from lumigate.core.pipeline import render
 
@@ -107,6 +108,33 @@ def test_an_animation_renders_every_frame(scene, tmp_path):
     for frame, layers in zip((1, 2), frames):
         assert_same(read_exr(tmp_path / f"frame{frame:04d}.exr"), layers)
     assert not np.array_equal(frames[0]["Depth"], frames[1]["Depth"])
+
+
+def test_both_eyes_of_a_stereo_camera_are_rendered(scene, monkeypatch, tmp_path):
+    alone = computed(scene)
+    handed = {}
+
+    def keep(owner, layers, wanted, view):
+        handed[view] = layers
+        hand_over(owner, layers, wanted, view)
+
+    monkeypatch.setattr(engine, "hand_over", keep)
+    scene.render.use_multiview = True
+    data = scene.camera.data
+    data.stereo.pivot, data.stereo.convergence_mode, data.stereo.interocular_distance = "LEFT", "PARALLEL", 0.2
+    scene.render.image_settings.views_format = "MULTIVIEW"
+    scene.render.filepath = str(tmp_path / "eyes.exr")
+    bpy.ops.render.render(write_still=True)
+    assert list(handed) == ["left", "right"]
+    np.testing.assert_array_equal(handed["left"]["Depth"], alone["Depth"])  # whose place is the camera's own
+    x = scene.camera.matrix_world.to_3x3() @ Vector((0.2, 0, 0))
+    scene.camera.location += x
+    bpy.context.view_layer.update()
+    scene.render.use_multiview = False
+    np.testing.assert_allclose(handed["right"]["Depth"], computed(scene)["Depth"], rtol=1e-4)
+    pictures = [handed[view]["Combined"] for view in ("left", "right")]
+    assert np.abs(pictures[0] - pictures[1]).mean() > 0.02
+    assert (tmp_path / "eyes.exr").is_file()
 
 
 def test_a_cancelled_render_hands_nothing_over(scene, monkeypatch):
