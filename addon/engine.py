@@ -10,7 +10,7 @@ import bpy
 
 from ..core.errors import SceneError
 from .job import Job, loading, render_job
-from .passes import COMBINED, group_names, hand_over, left_out, long_name, long_names, passes_of, register_passes
+from .passes import COMBINED, debug_names, group_names, hand_over, left_out, long_name, long_names, passes_of, register_passes
 
 if TYPE_CHECKING:
     from ..core.scene import Camera, Scene
@@ -47,7 +47,8 @@ class LumigateEngine(bpy.types.RenderEngine):
                     return
                 if job.error is not None:
                     raise job.error
-                hand_over(self, job.result.layers, passes_of(depsgraph.scene, depsgraph.view_layer), view)
+                layers = job.result.layers
+                hand_over(self, layers, [*passes_of(depsgraph.scene, depsgraph.view_layer), *debug_names(layers)], view)
             self._tell(job.result.stats, depsgraph)
         except SceneError as error:
             self._refuse(error)

@@ -38,10 +38,10 @@ LONGEST_GROUP = 63 - len("Combined_")  # bytes, of 63 that a pass may be called
 OPTIONAL = tuple(name for name in CONTRACT if name != COMBINED)
 
 
-def _channels(name: str) -> tuple[int, str, str]:
-    """Number, letters and type of a pass's channels, as Blender wants them."""
-    if name == "Depth":
-        return 1, "Z", "VALUE"
+def _channels(name: str, count: int = 3) -> tuple[int, str, str]:
+    """Number, letters and type of a pass's channels, as Blender wants them; count: of a layer that is for debugging."""
+    if name == "Depth" or count == 1:
+        return 1, "Z" if name == "Depth" else "X", "VALUE"
     return (3, "XYZ", "VECTOR") if name in VECTORS else (3, "RGB", "COLOR")
 
 
@@ -79,6 +79,12 @@ def passes_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> list[s
     return [*wanted, *(f"{kind}_{name}" for name in group_names(scene, view_layer) if name not in too_long for kind in kinds)]
 
 
+def debug_names(layers: Layers) -> list[str]:
+    """The layers that a render gives for debugging: they have no sockets, but are in the picture and its file."""
+    known = (*CONTRACT, *(f"{kind}_" for kind in GROUP_LAYERS))
+    return [name for name in layers if not name.startswith(known)]
+
+
 def long_names(groups: list[str]) -> list[str]:
     """The light groups whose passes Blender has no room for: a file with their names cut off cannot be written, or not be read."""
     return [name for name in groups if len(name.encode()) > LONGEST_GROUP]
@@ -106,7 +112,7 @@ def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view
 def hand_over(engine: bpy.types.RenderEngine, layers: Layers, wanted: list[str], view: str = "") -> None:
     """Give the layers of a render to Blender as the passes of its view layer; view: of stereoscopy, one of the scene's render views."""
     for name in wanted:
-        channels, letters, _ = _channels(name)
+        channels, letters, _ = _channels(name, layers[name].shape[2] if name in layers else 3)
         engine.add_pass(name, channels, letters, layer=layers.view_layer)
     result = engine.begin_result(0, 0, *layers.size, layer=layers.view_layer, view=view)
     for target in result.layers[0].passes:

@@ -207,7 +207,7 @@ def _render(
     layers = picture.layers(scene)
     layers.update(run.debug)
     if settings.layers is not None:
-        for name in [name for name in layers if name.partition("_")[0] not in settings.layers]:
+        for name in [name for name in layers if name.partition("_")[0] not in settings.layers and name not in run.debug]:
             del layers[name]
             run.skip("layers", f"{name} was not asked for")
     run.seconds["jit"] = run.seconds.get("jit", 0.0)

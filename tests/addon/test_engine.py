@@ -60,6 +60,14 @@ def test_only_the_passes_of_the_view_layer_are_there(scene, rendered):
     assert set(rendered()) == {"Combined", "Indirect"}
 
 
+def test_layers_for_debugging_are_in_the_picture(scene, rendered):
+    scene.lumigate.debug_layers = True
+    scene.lumigate.method = "fuzzy-clustering"
+    passes = rendered()
+    assert set(passes) > {*CONTRACT, "VPL0", "PointClusters"}
+    assert passes["VPL0"].any() and passes["PointClusters"].shape[2] == 1
+
+
 def test_passes_of_other_renderers_are_told():
     layer = bpy.context.scene.view_layers.new("Shot")
     assert left_out(layer) == []
