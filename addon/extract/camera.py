@@ -113,7 +113,7 @@ def camera_warnings(camera: bpy.types.Object, scene: bpy.types.Scene, *, views: 
     if scene.render.use_motion_blur:
         warnings.append(f"motion blur of scene '{scene.name}' is ignored: frame {scene.frame_current} is rendered as it stands")
     if scene.render.use_multiview and not views:
-        warnings.append(f"stereoscopy of scene '{scene.name}' is ignored: one view is rendered")
+        warnings.append(f"stereoscopy of scene '{scene.name}' is ignored: one view is rendered (F12 with Lumigate renders them all)")
     return warnings
 
 

@@ -77,11 +77,27 @@ def steps(gui):
     gui.area("PROPERTIES")[1].spaces.active.context = "RENDER"
     yield 1.0
     gui.shot("panel")
+    yield from lamp(session)
     yield from render_by_key(session)
     for step in (indirect_light, compositor, scene_check, escapes, rendered_viewport):
         yield from step(session)
         with open(OUT + "/results.json", "w") as file:
             json.dump(session.found, file, indent=1)
+
+
+def lamp(session):
+    """A lamp's properties."""
+    window, area = session.gui.area("PROPERTIES")
+    layer, space = window.view_layer, area.spaces.active
+    before = layer.objects.active
+    layer.objects.active = session.scene.objects["Lamp"]
+    yield 0.5
+    space.context = "DATA"
+    yield 1.0
+    session.gui.shot("lamp")
+    space.context = "RENDER"
+    layer.objects.active = before
+    yield 0.5
 
 
 def rendering():
@@ -117,28 +133,42 @@ def rendered_viewport(session):
     with bpy.context.temp_override(**gui.override("VIEW_3D")):
         bpy.ops.view3d.view_center_camera()
     yield 0.5
+    module = importlib.import_module(session.operators.__package__ + ".viewport")
+    painted = []
+    original = module.Viewport._paint
+
+    def noticing(self, *arguments):
+        original(self, *arguments)
+        if self._picture is not None:
+            painted.append((self._step, self._part))
+
+    module.Viewport._paint = noticing
     for name in ("viewport_cold", "viewport"):
         space.shading.type = "SOLID"
         yield 1.0
-        module = importlib.import_module(session.operators.__package__ + ".viewport")
-        painted = []
-        original = module.Viewport._paint
-
-        def noticing(self, *arguments, original=original, painted=painted):
-            original(self, *arguments)
-            if self._picture is not None:
-                painted.append(self._step)
-
-        module.Viewport._paint = noticing
+        painted.clear()
         space.shading.type = "RENDERED"
-        yield from session.until(lambda painted=painted: bool(painted), name + "_first_picture")
-        yield from session.until(lambda painted=painted: painted[-1] >= 4, name + "_fourth_picture")
-        module.Viewport._paint = original
+        yield from session.until(lambda: bool(painted), name + "_first_picture")
+        yield from session.until(lambda: painted[-1][0] >= 4, name + "_fourth_picture")
     yield 6.0  # it is refined meanwhile
     gui.shot("viewport")
+    yield from render_region(session, painted)
+    module.Viewport._paint = original
     space.shading.type = "SOLID"
     space.overlay.show_overlays = True
     yield 0.5
+
+
+def render_region(session, painted):
+    """A part of a view that is not the camera's."""
+    space = session.gui.area("VIEW_3D")[1].spaces.active
+    space.region_3d.view_perspective = "PERSP"
+    space.use_render_border = True
+    space.render_border_min_x, space.render_border_max_x, space.render_border_min_y, space.render_border_max_y = 0.25, 0.75, 0.25, 0.5
+    yield from session.until(lambda: painted[-1][1] != (0, 0, 1, 1), "render_region")
+    session.gui.shot("region")
+    session.found["region"] = painted[-1][1]
+    space.use_render_border = False
 
 
 def escapes(session):

@@ -21,7 +21,7 @@ from lumigate import sample_scenes
 ROOT = Path(lumigate.__file__).resolve().parent
 TOOLS = Path(os.environ.get("LUMIGATE_GUI_TOOLS", ROOT.parent / "shared" / "tools"))
 CHROOT = Path(os.environ.get("BLENDER_ROOT", Path(tempfile.gettempdir()) / "blender-gui")) / "chroot-sid"
-SHOTS = ("panel", "render", "viewport", "progress", "layers", "compositor", "check")
+SHOTS = ("panel", "render", "viewport", "progress", "layers", "compositor", "check", "lamp", "region")
 MINUTES = 9  # the first time, which compiles
 
 pytestmark = pytest.mark.gui
@@ -91,6 +91,11 @@ def test_the_zip_installs_and_its_pictures_are_there(window):
     for name in SHOTS:
         assert (folder / f"{name}.png").stat().st_size > 10_000
     assert found["blender"].startswith("5.")
+
+
+def test_the_viewport_keeps_to_its_render_region(window):
+    _, found = window
+    assert found["region"] == pytest.approx([0.25, 0.25, 0.75, 0.5], abs=0.02)  # whole pixels of the coarse picture
 
 
 def test_the_window_stays_alive_while_it_renders(window):
