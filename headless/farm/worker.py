@@ -152,10 +152,11 @@ def do_part(part: Part, expected: dict[str, str], scene: bytes | None = None) ->
     begin = perf_counter()
     root = Path(worker.local_directory)
     with tempfile.TemporaryDirectory(prefix="part-", dir=root) as folder:
-        argv = command_line(part, _scene_file(root, part, scene), Path(folder))
+        file = _scene_file(root, part, scene)
+        argv = command_line(part, file, Path(folder))
         key = worker.get_current_task()  # not the part's: another try of it has another one
         answer = _blender(worker).ask(argv, folder, lambda: _wanted(worker, key))
-        said = answer["said"].strip()
+        said = answer["said"].strip().replace(file, part.scene).replace(Path(file).name, part.scene)  # the user knows no other name
         if answer["status"] != 0:
             raise FarmError(said.removeprefix("lumigate: error: ") or f"the command ended with status {answer['status']}")
         files = {file.relative_to(folder).as_posix(): file.read_bytes() for file in sorted(Path(folder).rglob("*")) if file.is_file()}

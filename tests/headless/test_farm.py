@@ -167,6 +167,15 @@ def _clients():
     return [found for found in gc.get_objects() if type(found) is Client]
 
 
+def test_a_damaged_scene_is_called_as_the_user_calls_it(farm, tmp_path, capsys):
+    damaged = tmp_path / "kitchen.blend"
+    damaged.write_bytes(b"BLENDER damaged")
+    capsys.readouterr()
+    argv = ["farm", str(damaged), "-o", str(tmp_path / "f.exr"), "--frames", "1-1", "--size", "16x16"]
+    assert main([*argv, "--scheduler", address(farm)]) == 2
+    assert "cannot read 'kitchen.blend'" in capsys.readouterr().err
+
+
 def test_unreachable_scheduler_is_one_line(tmp_path, capsys, monkeypatch):
     before = _clients()
     monkeypatch.setattr(job, "CONNECT", 1)
