@@ -10,7 +10,7 @@ import numpy as np
 from ..denoise import Denoiser
 from ..errors import SceneError
 from ..rays.order import morton_order
-from ..scene import Scene, Skipped
+from ..scene import Scene
 from ..settings import CONTENTS, BakeSettings, RenderSettings
 from ..soundness import sound
 from ..stages import Run, StageProgress, light_points, method_of, prepared
@@ -25,6 +25,11 @@ from .seams import find_seams, stitched
 TEXEL_RAYS = 3  # of each shading point of a texel, for each of a pixel's: texels are looked at from near by
 CORNER_RAYS = 2  # of each of a corner's shading points, likewise: they are few, and no denoiser sees them
 DENOISING = "fast"  # half the time of "high" at the same error (docs/lightmaps.md)
+
+
+INSIDE_OUT = (
+    "no light reaches '{}': its lightmap is black; if its faces are turned inside out, Mesh > Normals > Recalculate Outside turns them"
+)
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,7 @@ def bake(
     ]
     if denoiser:
         denoiser.close()
+    run.warnings += [INSIDE_OUT.format(found.name) for found in lightmaps if (found.state == LIT).any() and not found.image.any()]
     stats = {
         "method": method,
         "content": settings.content,
@@ -141,7 +147,7 @@ def _view(run: Run, tables: Transport, target: Target, settings: BakeSettings, t
     texels.state = without_strays(texels.state)
     run.rays["primary"] += texels.rays
     if not (texels.state == LIT).any():
-        run.skipped.append(Skipped("texels", f"'{target.name}' is hidden inside other objects: its lightmap is black"))
+        run.warnings.append(f"'{target.name}' is hidden inside other objects: its lightmap is black")
     return texels, charts
 
 

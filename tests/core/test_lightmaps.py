@@ -61,12 +61,14 @@ def test_every_texel_of_the_furnace_is_right(furnace):
 
 
 @pytest.mark.filterwarnings("error")
-def test_what_no_light_reaches_is_black_without_a_warning(build):
+def test_what_no_light_reaches_is_black_and_told(build):
     # The outside of a shining cube sees nothing.
     outward = [[CORNERS[k] for k in face[::-1]] for face in INWARD]
     scene = build.scene(build.geometry(*build.quads(*outward)), build.materials((0.5, 1.0)))
-    lightmap = bake(scene, [Target("Walls", np.arange(12, dtype=np.int32), cells(6, 3), (48, 32))], settings()).lightmaps[0]
+    result = bake(scene, [Target("Walls", np.arange(12, dtype=np.int32), cells(6, 3), (48, 32))], settings())
+    lightmap = result.lightmaps[0]
     assert (lightmap.state == LIT).any() and not lightmap.image.any()
+    assert any(line.startswith("no light reaches 'Walls'") and "Recalculate Outside" in line for line in result.stats["warnings"])
 
 
 def test_images_are_lit_together_and_kept_apart(furnace):
