@@ -29,11 +29,12 @@ AROUND = 5  # pixels along a side of what takes back light that was smeared
 MARGIN = 16  # pixels around what is denoised of a picture, which a denoiser sees, too
 LEAST_FORESEEN = np.float32(1e-6)  # of its mean: what is darker has no light to be told from noise
 LEAST_SOFT = np.float32(1e-3)  # of the mean of what has sharp shadows: less is rounding
+STANDS_OUT = np.float32(1.0)  # times its variance, by which what is given back of sharp shadows is more than noise
 QUICKER = {"high": "balanced", "balanced": "fast"}  # of OIDN's qualities, for layers that gain little by the better one
 LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
 # What passes average; position and depth are the first one's.
 _MEANS = (*LIGHT, "albedo", "normal", "guide_albedo", "guide_normal", "foreseen")
-_MEANS_IF_THERE = ("alpha", "smooth", "glossy_albedo", "mirrored_albedo", "own_normal", "sharp")
+_MEANS_IF_THERE = ("alpha", "smooth", "glossy_albedo", "mirrored_albedo", "own_normal", "sharp", "unshadowed")
 
 
 class GroupLight(NamedTuple):
@@ -73,6 +74,7 @@ class Picture:
     own_normal: (H, W, 3) float32, `guide_normal` without what lies behind glass and in mirrors; None for the same.
     mirrored_albedo: (H, W, 3) float32, albedo of what rays from narrow lobes have met, with their noise; None for nothing.
     sharp: (H, W, 3) float32, what diffuse surfaces send of the light of lamps with sharp shadows, part of `direct`; None where it is not told apart.
+    unshadowed: (H, W, 3) float32, what `sharp` would be with nothing in its way; doubt: (H, W, 3) float32, that by the number of rays that have told.
     shine: (H, W, 3) float32, `highlights` of small things, part of `direct`, too thin for a denoiser to leave them; None for none.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
     points: diffuse indirect light of the passes' shading points, which knows more than that of pixels; empty where it is not kept.
@@ -97,6 +99,8 @@ class Picture:
     own_normal: np.ndarray | None = None
     mirrored_albedo: np.ndarray | None = None
     sharp: np.ndarray | None = None
+    unshadowed: np.ndarray | None = None
+    doubt: np.ndarray | None = None
     shine: np.ndarray | None = None
     groups: dict[str, GroupLight] = field(default_factory=dict)
     points: tuple[PointLight, ...] = ()
@@ -105,12 +109,13 @@ class Picture:
     def compose(
         seen: View, direct: np.ndarray, indirect: np.ndarray, glossy_direct: np.ndarray, glossy_indirect: np.ndarray,
         mirrored_albedo: np.ndarray, weight: float = 1.0, groups: LightGroups | None = None, foreseen: np.ndarray | None = None,
-        sharp: np.ndarray | None = None, shine: np.ndarray | None = None,
+        sharp: np.ndarray | None = None, unshadowed: np.ndarray | None = None, sharp_rays: np.ndarray | None = None,
+        shine: np.ndarray | None = None,
     ) -> Picture:  # fmt: skip
         """The picture of irradiances and glossy radiances (N, 3 G) at the shading points.
 
         mirrored_albedo: (N, 3), of what mirrors show, for the denoiser.  groups: the G light groups, None for none.
-        foreseen: (N,) irradiance, None for the same everywhere.  sharp: the part of `direct` that has sharp shadows.
+        foreseen: (N,) irradiance, None for the same everywhere.  sharp: the part of `direct` that has sharp shadows; unshadowed, sharp_rays: as of `DirectLight`.
         shine: the part of `glossy_direct` that are highlights.
         """
         columns = [np.s_[:, 3 * k : 3 * k + 3] for k in range(len(seen.emitted))]
@@ -121,9 +126,12 @@ class Picture:
         whole = parts[0] if len(parts) == 1 else GroupLight(*(sum(layers) for layers in zip(*parts)))
         guide_albedo, guide_normal = denoising_guides(seen)
         clear = (seen.points.behind_glass == 0)[:, None]
+        doubt = None
         if sharp is not None:
             sharp = sharp.reshape(len(sharp), sharp.shape[1] // 3, 3).sum(axis=1)
-            sharp = splat(seen.points, np.float32(1 / np.pi) * clear * seen.points.albedo * sharp, seen.shape)
+            reflected = np.float32(1 / np.pi) * clear * seen.points.albedo
+            doubt = splat(seen.points, reflected * unshadowed / np.maximum(sharp_rays, 1)[:, None], seen.shape)
+            sharp, unshadowed = (splat(seen.points, reflected * light, seen.shape) for light in (sharp, unshadowed))
         if shine is not None:
             shine = splat(seen.points, clear * shine.reshape(len(shine), shine.shape[1] // 3, 3).sum(axis=1), seen.shape)
         expected = seen.points.albedo * clear
@@ -143,6 +151,8 @@ class Picture:
             glossy_albedo=splat(seen.points, glossy_albedos(seen.points), seen.shape),
             mirrored_albedo=splat(seen.points, mirrored_albedo, seen.shape) if mirrored_albedo.any() else None,
             sharp=sharp,
+            unshadowed=unshadowed,
+            doubt=doubt,
             shine=shine,
             groups={} if groups is None else groups.told_apart(parts, GroupLight(*(np.zeros_like(seen.albedo) for _ in LIGHT))),
         )
@@ -158,6 +168,8 @@ class Picture:
         for name in _MEANS_IF_THERE:
             mine, its = getattr(self, name), getattr(other, name)
             means[name] = None if mine is None or its is None else a * mine + b * its
+        if self.doubt is not None and other.doubt is not None:  # as variances
+            means["doubt"] = a * a * self.doubt + b * b * other.doubt
         if self.shine is not None or other.shine is not None:  # a pass may have none
             mine, its = (np.zeros_like(self.direct) if part is None else part for part in (self.shine, other.shine))
             means["shine"] = a * mine + b * its
@@ -212,20 +224,25 @@ class Picture:
             light = cleaned(self.glossy_indirect, self._glossy_guide(guide), clean_aux=is_clean, normal=self.guide_normal)
             found["glossy_indirect"] = light if self.glossy_albedo is None else self._off_matt(light)
         if direct and self.direct.any():
-            found["direct"] = self._direct_cleaned(cleaned, QUICKER.get(quality, quality))
+            found["direct"] = self._direct_cleaned(cleaned, QUICKER.get(quality, quality), threads)
         return replace(self, **found)
 
-    def _direct_cleaned(self, cleaned: Callable[..., np.ndarray], quality: str | None) -> np.ndarray:
+    def _direct_cleaned(self, cleaned: Callable[..., np.ndarray], quality: str | None, threads: int) -> np.ndarray:
         """The direct light without noise; sharp shadows are denoised apart, for they go with the noise of other lamps."""
         if self.shine is not None:
             matt = replace(self, direct=self.direct - self.shine, shine=None)
-            return self.shine + (matt._direct_cleaned(cleaned, quality) if matt.direct.any() else matt.direct)
+            return self.shine + (matt._direct_cleaned(cleaned, quality, threads) if matt.direct.any() else matt.direct)
         if self.sharp is None:
             return cleaned(self.direct, self.albedo, quality, highlights=True)
         soft = self.direct - self.sharp
         if not largest(soft).max() <= LEAST_SOFT * self.sharp.mean():  # nor where that is no number
             soft = cleaned(soft, self.albedo, quality, highlights=True)
-        return soft + cleaned(self.sharp, self.albedo, quality, highlights=True)
+        sharp = cleaned(self.sharp, self.albedo, quality, highlights=True)
+        if self.unshadowed is not None:
+            told, noise = (self.sharp, self.unshadowed, self.doubt), np.empty(sharp.shape[:2], np.float32)
+            run_chunks(lambda begin, end: _tell_noise(*told, begin, end, noise), len(sharp), ROWS, threads)
+            run_chunks(lambda begin, end: _give_sharp_back(self.sharp, noise, sharp, begin, end), len(sharp), ROWS, threads)
+        return soft + sharp
 
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
         """The albedo with what narrow lobes show, of which few rays have told, and whether it is free of noise."""
@@ -386,6 +403,49 @@ def splat(points: ShadingPoints, radiance: np.ndarray, shape: tuple[int, int]) -
     out = np.zeros((shape[0] * shape[1], 3), np.float32)
     _splat(points.pixel, radiance, out)
     return out.reshape(*shape, 3)
+
+
+@kernel
+def _tell_noise(sharp, unshadowed, doubt, begin, end, noise):
+    """Into noise (H, W): the variance of `sharp`, all channels together.
+
+    Lit or not is all that rays to a small lamp tell, so that it is that of a binomial distribution: next to nothing where all rays agree.
+    """
+    for y in range(begin, end):
+        for x in range(sharp.shape[1]):
+            noise[y, x] = np.float32(0.0)
+            for c in range(3):
+                whole = unshadowed[y, x, c]
+                if whole > 0:
+                    rays = whole / doubt[y, x, c]
+                    # Jeffreys' prior: rays that agree are no proof.
+                    lit = (min(sharp[y, x, c] / whole, np.float32(1.0)) * rays + np.float32(0.5)) / (rays + np.float32(1.0))
+                    noise[y, x] += whole * doubt[y, x, c] * lit * (np.float32(1.0) - lit)
+
+
+@kernel
+def _give_sharp_back(sharp, noise, clean, begin, end):
+    """Adds to rows of `clean`, the denoised light of lamps with sharp shadows, what it lacks of `sharp` as far as that stands out (James and Stein's estimator)
+    from the noise of the pixels around.
+
+    Shadows of leaves, which a denoiser takes for noise, are dark or lit in most pixels.  In a wide penumbra, where rays of a pixel may agree by chance, those of others do not.
+    """
+    height, width = noise.shape
+    for y in range(begin, end):
+        for x in range(width):
+            squared = usual = np.float32(0.0)
+            for c in range(3):
+                squared += (sharp[y, x, c] - clean[y, x, c]) ** 2
+            count = 0
+            for v in range(max(y - 1, 0), min(y + 2, height)):
+                for u in range(max(x - 1, 0), min(x + 2, width)):
+                    usual += noise[v, u]
+                    count += 1
+            usual = STANDS_OUT * max(usual / np.float32(count), noise[y, x])
+            if squared > usual:  # nor where that is no number
+                kept = np.float32(1.0) - usual / squared
+                for c in range(3):
+                    clean[y, x, c] += kept * (sharp[y, x, c] - clean[y, x, c])
 
 
 @kernel

@@ -395,7 +395,7 @@ def _pass(
     picture = Picture.compose(
         seen, light.irradiance, indirect + light.irradiance_by_glass, light.glossy + mirrored.direct,
         light.glossy_by_glass + mirrored.indirect, mirrored.albedo, weight, run.groups, foreseen,
-        light.sharp, light.shine,
+        light.sharp, light.unshadowed, light.sharp_rays, light.shine,
     )  # fmt: skip
     smooth = None
     if settings.smooth:

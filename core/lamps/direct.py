@@ -928,11 +928,18 @@ def _learn(scene, points, start, size, block, rays, n, guide):
 
 
 @leaf
-def _collect(rays, n, start, guide, out, glossy):
-    """Add what the first n rays bring; what passed glass goes to the second half."""
+def _collect(rays, n, start, guide, out, glossy, apart, unshadowed):
+    """Add what the first n rays bring; what passed glass goes to the second half.
+
+    unshadowed: (N, 4) float32, what those to columns from `apart` on would bring were nothing in their way, and how many they are; of no rows where nobody asks.
+    """
     half = out.shape[1] // 2
     for j in range(n):
         i, c = start + rays.point[j], rays.column[j]
+        if len(unshadowed) > 0 and c >= apart:
+            for channel in range(3):
+                unshadowed[i, channel] += rays.light[j, channel]
+            unshadowed[i, 3] += _1
         share = shine_share = _1
         if rays.turn[j] >= 0:
             share, shine_share = guide.share[rays.point[j], rays.turn[j]], guide.shine[rays.point[j], rays.turn[j]]
@@ -948,8 +955,11 @@ def _collect(rays, n, start, guide, out, glossy):
 
 
 @kernel
-def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, out, glossy):
-    """Direct irradiance of the points begin..end-1 into `out`, what their lobes reflect into `glossy` -> number of rays."""
+def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, out, glossy, apart, unshadowed):
+    """Direct irradiance of the points begin..end-1 into `out`, what their lobes reflect into `glossy` -> number of rays.
+
+    apart, unshadowed: as of `_collect`.
+    """
     groups = len(scene.emitters.groups)
     packet = new_packet()
     rows = new_registers(scene.materials)
@@ -992,9 +1002,11 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
         if guided:
             _learn(scene, points, start, size, block, rays, n, guide)
             n_later = _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, surface, later)
-        _collect(rays, n, start, guide, out, glossy)  # not before the later ones are aimed, which tell what share the first have
+        _collect(
+            rays, n, start, guide, out, glossy, apart, unshadowed
+        )  # not before the later ones are aimed, which tell what share the first have
         n_rays += _trace(scene, packet, rows, surface, points, start, later, n_later)
-        _collect(later, n_later, start, guide, out, glossy)
+        _collect(later, n_later, start, guide, out, glossy, apart, unshadowed)
         if len(scene.emitters.triangle) > 0:
             _add_shining(scene, packet, rows, surface, points, start, size, block, out)
     return n_rays
@@ -1029,7 +1041,8 @@ class DirectLight(NamedTuple):
     irradiance: (N, 3 G) float32 W/m^2.  glossy: (N, 3 G) float32 W/m^2/sr, what lobes reflect to the viewer.
     irradiance_by_glass, glossy_by_glass: the same, of light that passed glass on its way from the lamp: glass is a bounce to
     Cycles, which counts it as indirect light.
-    sharp: (N, 3 G) float32, what of `irradiance` is of lamps with sharp shadows, None where it is not told apart.
+    sharp: (N, 3 G) float32, what of `irradiance` is of lamps with sharp shadows, None where it is not told apart; unshadowed: (N, 3) float32, what that of all groups
+    would be without anything in its way, and sharp_rays: (N,) float32, how many rays have told.
     shine: (N, 3 G) float32, what of `glossy` are `highlights`, None for none.
     """
 
@@ -1038,6 +1051,8 @@ class DirectLight(NamedTuple):
     irradiance_by_glass: np.ndarray
     glossy_by_glass: np.ndarray
     sharp: np.ndarray | None = None
+    unshadowed: np.ndarray | None = None
+    sharp_rays: np.ndarray | None = None
     shine: np.ndarray | None = None
 
 
@@ -1102,10 +1117,25 @@ def direct_light(
     # Side by side: light that met no glass, light that passed it.
     out = np.zeros((n, 2 * columns), np.float32)
     reflected = np.zeros((n if lobes else 0, 2 * columns), np.float32)
+    unshadowed = np.zeros((n if sharp is not None else 0, 4), np.float32)
+    apart = 3 * scene.emitters.light_groups
     rays = 0
 
     def work(begin, end):
-        return _direct_chunk(scene, receivers, begin, end, samples, reflections, np.uint32(seed), np.int64(first), out, reflected)
+        return _direct_chunk(
+            scene,
+            receivers,
+            begin,
+            end,
+            samples,
+            reflections,
+            np.uint32(seed),
+            np.int64(first),
+            out,
+            reflected,
+            np.int64(apart),
+            unshadowed,
+        )
 
     if len(scene.emitters.groups) and samples >= 1:
         rays = sum(run_chunks(work, n, CHUNK, threads, progress))
@@ -1115,4 +1145,5 @@ def direct_light(
     if sharp is None:
         return DirectLight(*map(np.ascontiguousarray, halves)), rays
     soft, hard = ([half[:, part] for half in halves] for part in (slice(columns // 2), slice(columns // 2, None)))
-    return DirectLight(*(a + b for a, b in zip(soft, hard)), np.ascontiguousarray(hard[0])), rays
+    told = np.ascontiguousarray(hard[0]), np.ascontiguousarray(unshadowed[:, :3]), unshadowed[:, 3]
+    return DirectLight(*(a + b for a, b in zip(soft, hard)), *told), rays

@@ -440,6 +440,35 @@ def test_sharp_shadows_do_not_go_with_the_noise_of_other_lamps(denoiser):
     assert whole.blend(apart).sharp is None and (apart.blend(apart).sharp == stripes).all()
 
 
+def sunlit(share, rays, seed=0):
+    """A picture of a plain under a sun that `share` (H, W) of each pixel sees, as so many rays to it tell."""
+    lit = np.random.default_rng(seed).binomial(rays, share) / rays
+    sharp = np.repeat(lit[..., None], 3, axis=2).astype(np.float32)
+    none, one = np.zeros_like(sharp), np.ones_like(sharp)
+    up = np.broadcast_to(np.array([0, 0, 1], np.float32), sharp.shape)
+    whole = Picture(sharp, none, none, one, none, up, one, up, one, none, none[..., 0], sharp=sharp)
+    return whole, replace(whole, unshadowed=one, doubt=one / np.float32(rays))
+
+
+def test_shadows_of_leaves_are_no_noise(denoiser):
+    """Pixels that all rays call lit, or dark, keep what they say; half-lit ones of a wide penumbra are smoothed still."""
+    speckled = (np.random.default_rng(2).random((96, 128)) < 0.5).astype(float)
+    plain, told = (picture.denoised(denoiser, 2).direct[..., 0] for picture in sunlit(speckled, 8))
+    assert np.mean((told - speckled) ** 2) < 0.3 * np.mean((plain - speckled) ** 2)
+    penumbra = np.broadcast_to(np.linspace(0, 1, 128), (96, 128))
+    plain, told = (picture.denoised(denoiser, 2).direct[..., 0] for picture in sunlit(penumbra, 8))
+    raw = sunlit(penumbra, 8)[0].direct[..., 0]
+    assert np.mean((told - penumbra) ** 2) < 0.35 * np.mean((raw - penumbra) ** 2)
+    assert told.mean() == pytest.approx(raw.mean(), rel=5e-3)
+
+
+def test_two_passes_tell_more_of_sharp_shadows_than_one():
+    _, one = sunlit(np.full((4, 4), 0.5), 8)
+    _, other = sunlit(np.full((4, 4), 0.5), 8, seed=1)
+    both = one.blend(other)
+    np.testing.assert_allclose(both.unshadowed / both.doubt, 16, rtol=1e-6)
+
+
 @pytest.mark.parametrize("power", [1e-30, 1e-12, 1e-8])
 def test_faint_pictures_are_denoised_as_bright_ones(denoiser, power):
     rng = np.random.default_rng(1)

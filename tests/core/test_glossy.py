@@ -419,6 +419,8 @@ def test_light_with_sharp_shadows_is_told_apart(others):
     whole, same = direct_light(scene.tables, points, 16, 1)
     np.testing.assert_allclose(light.sharp, direct_light(alone.tables, points, 16, 1)[0].irradiance, rtol=2e-3)
     assert rays == same and light.sharp.mean() == pytest.approx(1.6, rel=1e-3)
+    np.testing.assert_allclose(light.unshadowed, light.sharp, rtol=2e-3)  # nothing is in the way
+    assert light.sharp_rays.min() >= 1 and light.sharp_rays.max() < 16
     for found, expected in zip(light[:4], whole[:4], strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
 
