@@ -33,6 +33,7 @@ from ..sampling.maps import orthonormal_basis
 from ..sampling.sequences import sobol
 from ..scene import ANGLED, DIFFUSE, METAL, POINT, REFRACTIVE, SHADOW, SPOT, SUN, TRANSPARENT, bounds
 from ..surfaces.bending import bent, scattered
+from ..surfaces.brushed import ROUGHEST
 from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSPARENCY, passing_chance
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value
 from ..surfaces.microfacet import SMALLEST_ALPHA
@@ -41,7 +42,7 @@ from ..surfaces.program import new_registers
 from ..surfaces.visibility import OUTSIDE, STRAIGHT_ON, bends_most, evaluate_along, is_lens, is_sheet, passed_glass
 from ..threads import Progress, run_chunks
 from ..transport import Transport
-from .wide_lobes import is_wide
+from .wide_lobes import by_photons, is_wide
 
 CHUNK = 4096  # particles a chunk
 GLANCE, PILOT = 1 << 14, 1 << 16  # particles that tell whether any meet a lens or a lobe, and where
@@ -92,7 +93,7 @@ class Photons(NamedTuple):
     entry: (P, 3) float32, where they first met glass, or the lobe (m).  facing: (P, 3) float32, geometric normal of the lobe's surface, on the
     side to which it reflects; 0 without one.  flux: (P, 3) float32, W.  side: (P,) float32, 1 where the normal is their triangle's own, else -1.
     group: (P,) int32, their lamps' light groups.  metal: (P,) uint8, whether metal reflected them.  narrow: (P,) float32, by how much narrower it is
-    than virtual lights can tell, by `particles.BLUR`: 0 to 1.
+    than virtual lights can tell, by `particles.BLUR`: 0 to 1.  followed: (P,) uint8, whether rays that meet the lobe follow it.
     """
 
     position: np.ndarray
@@ -105,6 +106,7 @@ class Photons(NamedTuple):
     group: np.ndarray
     metal: np.ndarray
     narrow: np.ndarray
+    followed: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> Photons:
@@ -115,6 +117,7 @@ class Photons(NamedTuple):
             np.empty(n, np.int32),
             np.empty(n, np.uint8),
             np.empty(n, np.float32),
+            np.empty(n, np.uint8),
         )
 
     def take(self, index) -> Photons:
@@ -154,7 +157,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
             continue
         hides = emitters.shadow_kinds[e]
         kinds = DIFFUSE | hides
-        thrown = metal = False
+        thrown = metal = followed = False
         narrow = _0
         ax, ay, az = dx, dy, dz  # the straight way
         square = near * before
@@ -264,6 +267,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     thrown, entered, kinds = True, OUTSIDE, DIFFUSE
                     metal = flags & METAL > 0
                     narrow = max(_0, _1 - (surface[ROUGHNESS] / BLUR) ** 2)
+                    followed = surface[ROUGHNESS] < ROUGHEST
                     continue
                 if not (bends or thrown):
                     break
@@ -275,7 +279,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 photons.facing[n, 0], photons.facing[n, 1], photons.facing[n, 2] = fx, fy, fz
                 photons.flux[n, 0], photons.flux[n, 1], photons.flux[n, 2] = r, g, b
                 photons.side[n], photons.group[n] = side, emitters.light_group[e]
-                photons.metal[n], photons.narrow[n] = metal, narrow
+                photons.metal[n], photons.narrow[n], photons.followed[n] = metal, narrow, followed
                 n += 1
                 break
             # What hides from diffuse rays sends none of them to the lamp.
@@ -708,9 +712,10 @@ def _light(scene, caustics, points, lit, begin, end, seed, tested, every, near, 
                         ex, ey, ez = photons.entry[p, 0] - x, photons.entry[p, 1] - y, photons.entry[p, 2] - z
                         if ex * ex + ey * ey + ez * ez > least * least:
                             lr, lg, lb, _ = lobe_value(lobe, -dx, -dy, -dz)
-                            seen[n, c] += lr * r / cos_s
-                            seen[n, c + 1] += lg * g / cos_s
-                            seen[n, c + 2] += lb * b / cos_s
+                            part = by_photons(lobe, cos_s, lr, lg, lb) / cos_s if photons.followed[p] else _1 / cos_s
+                            seen[n, c] += part * lr * r
+                            seen[n, c + 1] += part * lg * g
+                            seen[n, c + 2] += part * lb * b
                     # One of them by its light, with one random number for all.
                     light = np.float64(r + g + b)
                     total += light

@@ -69,6 +69,7 @@ from .wide_lobes import (
     SharedRays,
     balance,
     bound,
+    by_photons,
     drawn_share,
     gather_density,
     is_mirror,
@@ -312,8 +313,10 @@ def _reflect_chunk(
             across = max(_0, sx * dx + sy * dy + sz * dz)
             glossy = np.float32(further[i]) if len(further) > 0 else drawn_share(lobe, beneath, density, across)
             shares = wide and not aside and not is_mirror(scene.materials, material)
-            # Whether what it throws of the lamps' light comes by photons.
+            # Whether what it throws of the lamps' light comes by photons, and the part that does.
             thrown = wide and cache.shine == _0 and t > near and t * lobe[ALPHA] > cache.size
+            each = density * np.float32(n)
+            brought = by_photons(lobe, across, each * vr, each * vg, each * vb) if thrown else _0
             if (chance < _SHINY or shares) and t > near and t * lobe[ALPHA] > cache.size and row < len(cache.radiosity):
                 cell = find_cell(
                     cache, px, py, pz, hx, hy, hz, surface_side(scene.materials, material, behind), uniform(key, index, 1, 2), uniform(key, index, 1, 3)
@@ -326,7 +329,6 @@ def _reflect_chunk(
                         part = balance(drawn, gather_density(shared.gather[i], across))
                     if shares and shared.lights:
                         clamped = min(_1, shared.g_max * t * t / max(across * abs(hx * ex + hy * ey + hz * ez), np.float32(1e-20)))
-                        each = density * np.float32(n)
                         carried = clamped * bound(lobe, across, each * vr, each * vg, each * vb)
                     turned = more_by_view(cache, cell, seen)
                     for c in range(0, known.shape[1], 3):
@@ -345,7 +347,7 @@ def _reflect_chunk(
                     if uniform(key, index, 1, 6) < follow:  # what its lobe reflects has a direction
                         take_lobe(surface)
                         scale = _INV_PI / follow
-                        sheen = (_1 - cache.trust[cell] * carried) * (cache.shine if shares or thrown else _1)
+                        sheen = _1 - (brought if thrown else cache.trust[cell] * carried)
                         own = _1 if sheen > _0 else _0
                         path_light(
                             scene, packet, rows, surface, another, cache, near, triangle, px, py, pz, p_error, hx, hy, hz, nx, ny, nz, -ex, -ey, -ez,
@@ -359,7 +361,9 @@ def _reflect_chunk(
                     continue
                 wr, wg, wb = wr / go_on, wg / go_on, wb / go_on
             mirror[n_hits] = sure[n_hits] = 0
-            lit_hits[n_hits] = 0 if thrown else WHOLE if flags & REFRACTIVE and behind else SHARED
+            lit_hits[n_hits] = WHOLE if flags & REFRACTIVE and behind else SHARED
+            if thrown and uniform(key, index, 1, 7) < brought:
+                lit_hits[n_hits] = 0
             more[n_hits] = uniform(key, index, 1, 5) < glossy
             if clear[i]:
                 guide[i, 0] += wr * (ar + lr)

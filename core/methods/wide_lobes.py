@@ -6,7 +6,8 @@ its lobe, too: of the light that a surface y sends to a point x from direction d
 gather rays and rays from the lobe, by the balance heuristic (Veach & Guibas 1995).
 
 Surfaces nearer than the lobe's blur of a cell of the cache, and mirrors (`surfaces.brushed`), whose light a cell does not know, are left to the rays
-from the lobe alone; but for what these throw of the lamps' light where there are photons of it (`caustics`), which bring it to wide lobes, too.
+from the lobe alone; but for what these throw of the lamps' light where there are photons of it (`caustics`), which bring it to wide lobes, too, as far
+as `by_photons` has it.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ from ..view.points import ShadingPoints
 WIDE_ALPHA = np.float32(0.1)  # of narrower lobes the other rays find next to nothing
 NARROW = np.float32(0.35)  # roughness of what shows more than a cell of the cache could tell
 MOST = np.float32(3.0)  # times a lobe's albedo, as a diffuse one: brighter directions are left to its own rays in part
+MOST_BY_PHOTONS = np.float32(
+    16.0
+)  # the same where photons bring the light: seen at a low angle even a wide lobe mirrors, and hundreds of times as bright
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _THIRD = np.float32(1 / 3)
@@ -76,6 +80,17 @@ def bound(lobe, cosine, r, g, b):
     """
     value = _THIRD * (r + g + b)
     return min(_1, MOST * lobe[ALBEDO] * max(_0, cosine) * _INV_PI / max(value, np.float32(1e-20)))
+
+
+@inlined
+def by_photons(lobe, cosine, r, g, b):
+    """The part, 0 to 1, of what photons bring from a direction that this lobe reflects of them; the rest is left to its own rays.
+
+    As for `bound`.  There are few photons beside a lobe's own rays where it is bright: one that meets the mirrored direction of a view along a wet
+    road is hundreds of times as strong as those around it, and lights the whole of its disk.
+    """
+    value = _THIRD * (r + g + b)
+    return min(_1, MOST_BY_PHOTONS * lobe[ALBEDO] * max(_0, cosine) * _INV_PI / max(value, np.float32(1e-20)))
 
 
 @inlined

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from lumigate.core import scene as sc
 from lumigate.core.lamps import build_emitters
 from lumigate.core.methods.caustics import NEAREST, SPARSE, Photons, add_caustics, arranged, by_lobes, keep_light, trace_photons
-from lumigate.core.particles import SHINE, trace_by_power
+from lumigate.core.particles import SHINE, Vpls, trace_by_power
 from lumigate.core.rays import RayScene
 from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, TRANSPARENCY
 from lumigate.core.transport import transport
@@ -33,7 +33,7 @@ def plane(normal=(0.0, 0.0, 1.0)):
 def spot(n, width, height=0.0):
     """Photons of 1 W in all that fall straight down, with a normal distribution."""
     photons = Photons.allocate(n)
-    photons.facing[:] = 0
+    photons.facing[:], photons.followed[:] = 0, 0
     photons.position[:, :2] = np.random.default_rng(1).normal(0, width, (n, 2))
     photons.position[:, 2] = height
     photons.normal[:], photons.direction[:], photons.flux[:], photons.side[:], photons.group[:] = (0, 0, 1), (0, 0, -1), 1 / n, 1, 0
@@ -88,6 +88,27 @@ def test_all_light_arrives_and_stays_near_where_it_fell(lit, n):
 @pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (1.0, 0.0, 0.0)])
 def test_other_sides_stay_dark(lit, normal):
     assert not lit(spot(2000, 0.3), plane(normal)).any()
+
+
+def test_a_photon_that_a_wide_lobe_mirrors_is_left_to_the_lobes_own_rays(build):
+    """It would light the whole of its disk, hundreds of times as bright as a dull surface: a patch on a wet road, of one photon.  But of what no ray follows, all stays."""
+    points, photons = plane(), spot(1500, 0.3)
+    low = np.float32([np.cos(0.1), 0, np.sin(0.1)])
+    photons.direction[:], photons.entry[:] = low * (1, 1, -1), (-9, 0, 1)
+    points.wo[:] = low
+    points.f0[:] = points.f90[:] = 0.2
+    points.roughness[:] = 0.4
+    found = {}
+    with ExitStack() as stack:
+        scene = tables_of(build, stack, square(build, 1.0, height=-99.0))
+        for followed in (0, 1):
+            photons.followed[:] = followed
+            out, shown = np.zeros((2, len(points.pixel), 3), np.float32)
+            add_caustics(scene, arranged(photons, NEAREST), points, 1, 2, out, shown)
+            lit = out[:, 0] > 0
+            found[followed] = np.pi * shown[lit, 0] / (0.2 * out[lit, 0])
+    assert found[0].min() > 50
+    assert 1 < found[1].min() and found[1].max() < 40
 
 
 def test_what_lies_above_stays_dark(lit):
@@ -229,11 +250,11 @@ def test_what_lobes_reflect_is_the_light_of_the_virtual_lights(build, wide):
     with ExitStack() as stack:
         scene = tables_of(build, stack, below, above, *sides, *sheet, lamps=lamp, materials=stuff, of_last=int(wide))
         photons, _ = trace_photons(scene, np.float32([(-2, -2, 0), (2, 2, 2)]), 20000, 1 << 17, 4, seed=1, threads=2, lobes=True)
-        vpls, _ = trace_by_power(scene, 1 << 15, 1, seed=2)
-    shines = vpls.take(vpls.shine == SHINE)
+        few_seeds = [trace_by_power(scene, 1 << 15, 1, seed)[0] for seed in range(8)]  # one alone is off by several percent
+    shines = Vpls.concatenate([vpls.take(vpls.shine == SHINE) for vpls in few_seeds])
     along = np.einsum("nk,nk->n", shines.normal, shines.surface_normal)
     cut = along / np.sqrt(along**2 + (1 - along**2) / (1 + shines.sharpness))
-    leaving = (shines.flux[:, 1] * (1 + cut) / 2).sum()
+    leaving = (shines.flux[:, 1] * (1 + cut) / 2).sum() / len(few_seeds)
     assert leaving > 0.5
     assert photons.flux[:, 1].sum() == pytest.approx(leaving, rel=0.03)
     np.testing.assert_allclose(np.linalg.norm(photons.direction, axis=1), 1, rtol=1e-4)
