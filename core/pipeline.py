@@ -17,7 +17,6 @@ from .lamps import DirectLight, LightGroups, sharp_emitters, world_tables
 from .layers import Layers
 from .memory import check_memory
 from .methods.glossy import Reflections, has_lobes
-from .methods.sparks import spread_sparks
 from .methods.wide_lobes import sees_alike
 from .passes import Passes, has_few_rays
 from .picture import Picture, nearest_triangles, splat
@@ -381,7 +380,7 @@ def _pass(
         if sampler and sampler.lights is not None and settings.denoise:
             with run.stage("indirect"):
                 foreseen = sampler.foreseen(points, seen.shape)
-                indirect = spread_sparks(points, indirect, foreseen, seen.shape)
+                indirect = sampler.without_sparks(points, indirect, foreseen, seen.shape)
         if settings.debug_layers and not run.debug:
             run.debug = single_lights(tables, vpls, points, seen.shape, threads)
             if run.clusters is not None:

@@ -64,6 +64,7 @@ from .instant_radiosity import clamp_of
 from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, LightCache, Probes, build_light_cache, find_cell, look_up, more_by_view
 from .partition import strengths, trusted
 from .probes import Tracer, trace_farther, trace_probes
+from .sparks import spread_sparks, spread_thrown
 from .tails import path_light
 from .thrown import redirected, shine_share, throwing
 from .wide_lobes import WIDE_ALPHA, SharedRays, bound, drawn_share, gather_density, is_mirror, is_wide, known_light, wide_part
@@ -580,6 +581,9 @@ class ImportanceSampling:
         self.shared: SharedRays | None = None
         self.gathered: GatherRays | None = None
         self.caustics: Caustics | None = None  # what glossy surfaces throw on what is seen, where that is much
+        self.thrown: tuple[np.ndarray, np.ndarray] | None = (
+            None  # of what `irradiance` has found last, and of `reflected`, the part by photons
+        )
 
     def cache_light(
         self,
@@ -798,10 +802,14 @@ class ImportanceSampling:
             return rays
 
         self.rays += sum(run_chunks(work, n, CHUNK, self.threads, progress))
+        self.thrown = None
         if self.caustics:
+            self.thrown = np.zeros_like(out), np.zeros_like(shown)
             self.rays += add_caustics(
-                self.scene, self.caustics, points, self.seed + 8 + first, self.threads, out, shown, self.near, self.cache.size
+                self.scene, self.caustics, points, self.seed + 8 + first, self.threads, *self.thrown, self.near, self.cache.size
             )
+            out += self.thrown[0]
+            shown += self.thrown[1]
         self.found = sights, parts, gathered
         self.gathered = GatherRays(gather, met, self.seed + 3, first)
         looks = np.minimum(np.maximum(1, samples // PICKS), len(self.lights))
@@ -812,3 +820,12 @@ class ImportanceSampling:
         """About what `irradiance` has just found of the points of a picture of `shape`, (N,) without noise: see the module `foreseen`."""
         self.pairs += len(points.pixel) * self.lights.shape[2]
         return foreseen(points, shape, self.lights, self.g_max, *self.found, self.threads)
+
+    def without_sparks(self, points: ShadingPoints, irradiance: np.ndarray, foreseen: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+        """The irradiance (N, 3 G) that was found last without sparks, as what is `foreseen` (N,) of it tells; `reflected` is without those by photons."""
+        if self.thrown:
+            light, shown = spread_thrown(points, *self.thrown, foreseen, shape)
+            irradiance = irradiance + (light - self.thrown[0])
+            self.reflected += shown - self.thrown[1]
+            self.thrown = light, shown
+        return spread_sparks(points, irradiance, foreseen, shape)

@@ -15,18 +15,23 @@ from ..view.points import ShadingPoints
 # Times what is foreseen of a point and what its neighbours have.  A denoiser knows what to do with less, and where it belongs: at 8, cathedral and
 # gallery had 1 to 3 % more error.  A spark keeps so many times that.
 BRIGHT, KEPT = np.float32(64.0), np.float32(4.0)
+# The same of light by photons, whose disks are wide: a point that alone has so much of it is a crumb, a leaf's or a rim's, on which all of a photon's light falls.
+BRIGHT_BY_PHOTONS = np.float32(8.0)
+MOST_RAISED = np.float32(2.0)  # times what lobes reflect of it may become elsewhere
 AROUND = 5  # pixels along a side of a neighbourhood
 AREA = 64  # pixels along a side of what takes the excess
 MUCH = 0.05  # of an area's light, that it takes at most
 
 
-def spread_sparks(points: ShadingPoints, light: np.ndarray, foreseen: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def spread_sparks(
+    points: ShadingPoints, light: np.ndarray, foreseen: np.ndarray, shape: tuple[int, int], bright: np.float32 = BRIGHT
+) -> np.ndarray:
     """The irradiance `light` (N, 3 G) W/m^2 of a picture's points without sparks: itself where there are none.
 
-    foreseen: (N,) W/m^2, as `methods.foreseen` has it.  shape: height and width of the picture.
+    foreseen: (N,) W/m^2, as `methods.foreseen` has it.  shape: height and width of the picture.  bright: what is a spark, see `BRIGHT`.
     """
     whole = light.sum(axis=1) / np.float32(3)  # of all light groups, as what is foreseen
-    suspects = np.flatnonzero((whole > BRIGHT * foreseen) & np.isfinite(whole))
+    suspects = np.flatnonzero((whole > bright * foreseen) & np.isfinite(whole))
     if not len(suspects):
         return light
     height, width = shape
@@ -40,7 +45,7 @@ def spread_sparks(points: ShadingPoints, light: np.ndarray, foreseen: np.ndarray
     own = points.pixel[suspects]
     others = (around[own] - whole[suspects] / number[own]) / np.maximum(known[own] - 1 / number[own], 1)
     usual = np.maximum(foreseen[suspects], others)
-    far_above = whole[suspects] > BRIGHT * usual
+    far_above = whole[suspects] > bright * usual
     if not far_above.any():
         return light
     sparks = suspects[far_above]
@@ -62,3 +67,21 @@ def spread_sparks(points: ShadingPoints, light: np.ndarray, foreseen: np.ndarray
         raised = np.divide(nearby, sums, out=np.zeros_like(sums), where=sums > 0) + rest
         spread[:, c] += raised.astype(np.float32)[area] * foreseen
     return spread
+
+
+def spread_thrown(
+    points: ShadingPoints, thrown: np.ndarray, shown: np.ndarray, foreseen: np.ndarray, shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same for the irradiance `thrown` (N, 3 G) W/m^2 by photons, and what lobes reflect of that, `shown` (N, 3 G) W/m^2/sr, or no rows.
+
+    Lobes reflect the less of the photons that a point keeps less of, and elsewhere so much the more.
+    """
+    spread = spread_sparks(points, thrown, foreseen, shape, BRIGHT_BY_PHOTONS)
+    if spread is thrown or not len(shown):
+        return spread, shown
+    before = thrown.sum(axis=1)
+    part = np.divide(spread.sum(axis=1), before, out=np.ones_like(before), where=before > 0)
+    kept = np.minimum(part, np.float32(1))[:, None] * shown
+    sums = [light.sum(axis=0, dtype=np.float64) for light in (shown, kept)]
+    raised = np.divide(*sums, out=np.ones_like(sums[0]), where=sums[1] > 0)
+    return spread, kept * np.minimum(raised, MOST_RAISED).astype(np.float32)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lumigate.core.methods.sparks import AROUND, KEPT, MUCH, spread_sparks
+from lumigate.core.methods.sparks import AROUND, KEPT, MUCH, spread_sparks, spread_thrown
 from lumigate.core.view.points import ShadingPoints
 
 SHAPE = 72, 100
@@ -54,6 +54,23 @@ def test_a_spark_is_spread_and_no_light_lost(points, columns, strength):
         assert raised[far[others]].max() < MUCH / 5
     else:  # the whole picture takes it
         assert np.ptp(raised, axis=0).max() < 3 * MUCH < raised.max()
+
+
+def test_a_photon_on_a_crumb_is_spread_with_what_lobes_reflect_of_it(points):
+    """It is wide elsewhere; at 20 times what is around it other light would be left to the denoiser."""
+    light, foreseen = lit(len(points.pixel))
+    k = 2 * (30 * SHAPE[1] + 40)
+    light[k] = 20
+    shown = 0.5 * light
+    assert spread_sparks(points, light, foreseen, SHAPE) is light
+    found, seen = spread_thrown(points, light, shown, foreseen, SHAPE)
+    sent = [(points.albedo * x.astype(float)).sum(axis=0) for x in (light, found)]
+    np.testing.assert_allclose(sent[1], sent[0], rtol=1e-5)
+    assert found[k].mean() < 2.5 * KEPT and seen[k].mean() < 1.25 * KEPT
+    np.testing.assert_allclose(seen.sum(axis=0, dtype=float), shown.sum(axis=0, dtype=float), rtol=1e-5)
+    assert spread_thrown(points, light, shown[:0], foreseen, SHAPE)[1].shape == (0, 3)
+    light[k] = 5
+    assert all(mine is its for mine, its in zip(spread_thrown(points, light, shown, foreseen, SHAPE), (light, shown), strict=True))
 
 
 def test_a_bright_thing_is_no_spark(points):
