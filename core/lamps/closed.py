@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ..scene import TRANSPARENT, Scene
+from ..scene import TRANSPARENT, Scene, bounds
 
 MOST = 1 << 16  # triangles of objects that shine; of more nothing is asked
 LOOKED_AT = 1 << 12  # vertices of other objects that tell whether a body holds something, at most
@@ -22,7 +22,7 @@ def outward(scene: Scene, triangle: np.ndarray) -> np.ndarray:
     """(M,) int8 of the triangles (M,) of a scene: 1 where the geometric normal points out of a closed body, -1 where into it, 0 for others.
 
     A body is closed where along each edge as many triangles turn one way as the other, and none lets light through.  One that holds
-    the camera, other objects or other bodies is a room, and counts as open.
+    the camera, a lamp, other objects or bodies, or all there is, is a room, and counts as open.
     """
     g = scene.geometry
     members = np.flatnonzero(np.isin(g.object, np.unique(g.object[triangle])))
@@ -70,18 +70,19 @@ def _open(corners: np.ndarray, body: np.ndarray, n: int) -> np.ndarray:
 
 
 def _holding(scene: Scene, members: np.ndarray, low: np.ndarray, high: np.ndarray, closed: np.ndarray) -> np.ndarray:
-    """Which of the bodies `closed` (K,), by boxes low, high (n, 3) of all, hold another body, the camera or a vertex of other objects."""
+    """Which of the bodies `closed` (K,), by boxes low, high (n, 3) of all, hold another body, the camera, a lamp or a vertex of other objects, or the whole scene."""
     g = scene.geometry
     others = np.isin(g.object, g.object[members], invert=True)
     vertices = g.triangles[others].ravel()
     step = max(1, len(vertices) // max(1, min(LOOKED_AT, COMPARED // len(low))))
-    within = [g.vertices[vertices[::step]].astype(np.float64)]
+    within = [g.vertices[vertices[::step]].astype(np.float64), scene.lamps.position.astype(np.float64).reshape(-1, 3)]
     if scene.camera is not None:
         within.append(scene.camera.matrix[None, :3, 3])
     within = np.concatenate(within)
     size, centre = (high - low).prod(axis=1), 0.5 * (low + high)
-    found = np.zeros(len(closed), bool)
+    first, last = bounds(g.vertices)
+    found = ((low[closed] <= first) & (high[closed] >= last)).all(axis=1)
     for i, k in enumerate(closed):
         held = (centre > low[k]) & (centre < high[k])
-        found[i] = ((within > low[k]) & (within < high[k])).all(axis=1).any() or (held.all(axis=1) & (size < size[k])).any()
+        found[i] |= ((within > low[k]) & (within < high[k])).all(axis=1).any() or (held.all(axis=1) & (size < size[k])).any()
     return found

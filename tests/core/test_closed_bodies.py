@@ -15,7 +15,7 @@ from lumigate.core.sampling.sequences import sobol
 from lumigate.core.surfaces.layout import SURFACE
 from lumigate.core.surfaces.program import new_registers
 from lumigate.core.transport import transport
-from lumigate.headless.stress.arrays import camera, geometry, icosphere, materials, quads
+from lumigate.headless.stress.arrays import camera, geometry, icosphere, lamp, materials, quads
 
 BULB = icosphere(2, 0.3, inward=False)
 FLOOR = quads([(-2, -2, -1), (2, -2, -1), (2, 2, -1), (-2, 2, -1)])
@@ -42,6 +42,11 @@ def sides(scene):
     return outward(scene, np.flatnonzero(scene.geometry.material == 1))
 
 
+def over_a_floor(*parts, **options):
+    """`sides` of a scene of these parts and a floor."""
+    return sides(scene_of(*parts, (*FLOOR, 0), **options))
+
+
 def split(vertices, triangles):
     """The same with vertices of its own for each triangle, as files with hard edges have them."""
     return vertices[triangles.ravel()], np.arange(3 * len(triangles)).reshape(-1, 3)
@@ -49,29 +54,32 @@ def split(vertices, triangles):
 
 def test_bodies_know_their_outside():
     vertices, triangles = BULB
-    assert (sides(scene_of((*BULB, 1), (*FLOOR, 0))) == 1).all()
-    assert (sides(scene_of((vertices, triangles[:, ::-1], 1))) == -1).all()
-    assert (sides(scene_of((*split(vertices, triangles), 1))) == 1).all()
+    assert (over_a_floor((*BULB, 1)) == 1).all()
+    assert (over_a_floor((vertices, triangles[:, ::-1], 1)) == -1).all()
+    assert (over_a_floor((*split(vertices, triangles), 1)) == 1).all()
     apart = np.concatenate([vertices, vertices + np.array([2, 0, 0])]), np.concatenate([triangles, triangles[:, ::-1] + len(vertices)])
-    found = sides(scene_of((*apart, 1)))
+    found = over_a_floor((*apart, 1))
     assert (found[: len(triangles)] == 1).all()
     assert (found[len(triangles) :] == -1).all()
 
 
 def test_what_is_open_or_holds_something_is_no_body():
     vertices, triangles = BULB
-    assert not sides(scene_of((vertices, triangles[1:], 1))).any()
-    assert not sides(scene_of((*FLOOR, 1))).any()
-    two_sheets = np.concatenate([FLOOR[0], FLOOR[0]]), np.concatenate([FLOOR[1], FLOOR[1][:, ::-1] + 4])
-    assert not sides(scene_of((*two_sheets, 1))).any()
-    assert not sides(scene_of((*BULB, 1), position=(0.1, 0, 0))).any()
-    assert not sides(scene_of((*BULB, 1), (0.1 * FLOOR[0], FLOOR[1], 0))).any()
-    nested = scene_of((*BULB, 1), (0.2 * vertices, triangles, 1))
-    assert not sides(nested)[: len(triangles)].any()
-    assert (sides(nested)[len(triangles) :] == 1).all()
-    clear = scene_of((*BULB, 1))
+    assert not over_a_floor((vertices, triangles[1:], 1)).any()
+    assert not over_a_floor((0.1 * FLOOR[0], FLOOR[1], 1)).any()
+    two_sheets = np.concatenate([0.5 * FLOOR[0], 0.5 * FLOOR[0]]), np.concatenate([FLOOR[1], FLOOR[1][:, ::-1] + 4])
+    assert not over_a_floor((*two_sheets, 1)).any()
+    assert not over_a_floor((*BULB, 1), position=(0.1, 0, 0)).any()
+    assert not over_a_floor((*BULB, 1), (0.1 * FLOOR[0], FLOOR[1], 0)).any()
+    assert not sides(scene_of((*BULB, 1))).any()  # all there is
+    nested = over_a_floor((*BULB, 1), (0.2 * vertices, triangles, 1))
+    assert not nested[: len(triangles)].any()
+    assert (nested[len(triangles) :] == 1).all()
+    clear, lit = (scene_of((*BULB, 1), (*FLOOR, 0)) for _ in range(2))
     clear.materials.tables.flags[1] |= sc.TRANSPARENT
+    lit.lamps = lamp(sc.POINT, 1.0, (0.1, 0, 0))
     assert not sides(clear).any()
+    assert not sides(lit).any()
 
 
 @kernel
