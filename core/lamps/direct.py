@@ -1002,9 +1002,8 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
         if guided:
             _learn(scene, points, start, size, block, rays, n, guide)
             n_later = _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, surface, later)
-        _collect(
-            rays, n, start, guide, out, glossy, apart, unshadowed
-        )  # not before the later ones are aimed, which tell what share the first have
+        # Not before the later ones are aimed, which tell what share the first have.
+        _collect(rays, n, start, guide, out, glossy, apart, unshadowed)
         n_rays += _trace(scene, packet, rows, surface, points, start, later, n_later)
         _collect(later, n_later, start, guide, out, glossy, apart, unshadowed)
         if len(scene.emitters.triangle) > 0:
@@ -1122,20 +1121,8 @@ def direct_light(
     rays = 0
 
     def work(begin, end):
-        return _direct_chunk(
-            scene,
-            receivers,
-            begin,
-            end,
-            samples,
-            reflections,
-            np.uint32(seed),
-            np.int64(first),
-            out,
-            reflected,
-            np.int64(apart),
-            unshadowed,
-        )
+        numbers = np.uint32(seed), np.int64(first)
+        return _direct_chunk(scene, receivers, begin, end, samples, reflections, *numbers, out, reflected, np.int64(apart), unshadowed)
 
     if len(scene.emitters.groups) and samples >= 1:
         rays = sum(run_chunks(work, n, CHUNK, threads, progress))

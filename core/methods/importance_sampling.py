@@ -581,9 +581,8 @@ class ImportanceSampling:
         self.shared: SharedRays | None = None
         self.gathered: GatherRays | None = None
         self.caustics: Caustics | None = None  # what glossy surfaces throw on what is seen, where that is much
-        self.thrown: tuple[np.ndarray, np.ndarray] | None = (
-            None  # of what `irradiance` has found last, and of `reflected`, the part by photons
-        )
+        # Of what `irradiance` has found last, and of `reflected`, the part by photons.
+        self.thrown: tuple[np.ndarray, np.ndarray] | None = None
 
     def cache_light(
         self,

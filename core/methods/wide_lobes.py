@@ -24,9 +24,8 @@ from ..view.points import ShadingPoints
 WIDE_ALPHA = np.float32(0.1)  # of narrower lobes the other rays find next to nothing
 NARROW = np.float32(0.35)  # roughness of what shows more than a cell of the cache could tell
 MOST = np.float32(3.0)  # times a lobe's albedo, as a diffuse one: brighter directions are left to its own rays in part
-MOST_BY_PHOTONS = np.float32(
-    16.0
-)  # the same where photons bring the light: seen at a low angle even a wide lobe mirrors, and hundreds of times as bright
+# The same where photons bring the light: seen at a low angle even a wide lobe mirrors, and hundreds of times as bright.
+MOST_BY_PHOTONS = np.float32(16.0)
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _THIRD = np.float32(1 / 3)
