@@ -202,6 +202,16 @@ class RenderSettings:
         "What lets light through, as leaves cut out of pictures and glass, is a wall to the topology",
         method="visibility-gates",
     )
+    sheets: str = option(
+        "walls",
+        "Thin Sheets",
+        "What surfaces without thickness that hang in a room, as curtains and leaves, are to the topology",
+        choices=(
+            Choice("walls", "Walls", "As all surfaces are"),
+            Choice("open", "Open", "Nothing: one can walk round them"),
+        ),
+        method="visibility-gates",
+    )
     gates: str = option(
         "guided",
         "Gates",

@@ -148,7 +148,7 @@ def prepared(run: Run, scene: Scene, settings: RenderSettings, threads: int, top
             tables = without_reflection(transport(scene.geometry, materials, rays.tables, emitters), run.black)
         if settings.method == "visibility-gates":
             with run.stage("topology"):
-                space = {"closed": settings.outside == "closed", "cutouts": settings.cutouts}
+                space = {"closed": settings.outside == "closed", "cutouts": settings.cutouts, "sheets": settings.sheets == "walls"}
                 run.topology = topologies.of(scene, settings.voxels, threads, **space)
         yield tables
 

@@ -161,6 +161,11 @@ METHOD_OPTIONS: dict[str, tuple[OwnOption, ...]] = {
             {"action": "store_const", "const": True, "help": "cut-outs and glass are walls to the topology, too"},
         ),
         OwnOption(
+            "--sheets",
+            "sheets",
+            {"choices": ("walls", "open"), "help": "thin ones that part no two rooms, as curtains, to the topology (default: walls)"},
+        ),
+        OwnOption(
             "--gates",
             "gates",
             {
@@ -327,6 +332,7 @@ def build_parser(*, scene_is_open: bool = False) -> Parser:
         "--outside", choices=("closed", "open"), default=RenderSettings.outside, help="as of render (default: %(default)s)"
     )
     inspect.add_argument("--cutouts", action="store_true", help="as of render")
+    inspect.add_argument("--sheets", choices=("walls", "open"), default=RenderSettings.sheets, help="as of render (default: %(default)s)")
     inspect.add_argument(
         "--skeleton", type=output_file(".obj"), metavar="FILE.obj", help="write skeleton, balls of the clusters, and gates to look at"
     )
@@ -430,6 +436,7 @@ def _check_topology(parser: Parser, arguments: argparse.Namespace) -> None:
         "--voxels": arguments.voxels != RenderSettings.voxels,
         "--outside": arguments.outside != RenderSettings.outside,
         "--cutouts": arguments.cutouts,
+        "--sheets": arguments.sheets != RenderSettings.sheets,
     }
     flag = next((flag for flag, given in changed.items() if given), None)
     if flag and not arguments.topology and arguments.skeleton is None:

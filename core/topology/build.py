@@ -14,6 +14,7 @@ from .gates import Gates, disk_gates, polygon_gates
 from .merging import SHARE, merged
 from .nearest import SOLID, look_up, nodes_of_voxels
 from .segmentation import Segmented, segment
+from .sheets import thin_sheets
 from .sight import sight_of
 from .skeleton import Skeleton, skeleton_of
 from .voxels import Grid, empty_voxels, voxelise
@@ -92,6 +93,7 @@ def build_topology(
     resolution: int = RESOLUTION,
     *,
     closed: bool = True,
+    sheets: bool = True,
     alpha: float = ALPHA,
     share: float = SHARE,
     threads: int = 0,
@@ -99,6 +101,7 @@ def build_topology(
     """The topology of what triangles (T, 3) of vertices (V, 3) leave empty in their bounding box.
 
     resolution: voxels along the longest side.  closed: the bounding box is solid outside; else open space goes on.
+    sheets: whether thin sheets (`sheets.thin_sheets`) are walls.
     alpha: of the paper's clusters; share: of free lines, above which neighbours among these are joined, more than 1 for none.
 
     Raises:
@@ -108,9 +111,12 @@ def build_topology(
     used = vertices[np.unique(triangles)]
     used = used[np.isfinite(used).all(axis=1)]
     grid = Grid.around(used.min(axis=0, initial=np.inf), used.max(axis=0, initial=-np.inf), resolution)
-    solid = voxelise(vertices, triangles, grid)
+    empty = empty_voxels(voxelise(vertices, triangles, grid), grid)
     clock.lap("voxels")
-    empty = empty_voxels(solid, grid)
+    if not sheets:
+        walls = triangles[~thin_sheets(vertices, triangles, empty, grid)]
+        empty = empty_voxels(voxelise(vertices, walls, grid), grid)
+        clock.lap("sheets")
     skeleton = skeleton_of(empty, closed=closed, threads=threads)
     clock.lap("thinning")
     segmented = segment(skeleton)

@@ -29,16 +29,18 @@ class Topologies:
         self.capacity = capacity
         self._held: OrderedDict[str, Topology] = OrderedDict()
 
-    def of(self, scene: Scene, resolution: int, threads: int = 0, *, closed: bool = True, cutouts: bool = False) -> Topology:
+    def of(
+        self, scene: Scene, resolution: int, threads: int = 0, *, closed: bool = True, cutouts: bool = False, sheets: bool = True
+    ) -> Topology:
         """The topology of `scene` at this resolution, built only where it is not known; arguments and errors as of `build_topology`.
 
         cutouts: whether what lets light through is a wall, too.
         """
         triangles = blocking_triangles(scene, cutouts)
-        key = content_key(scene.geometry.vertices, triangles, resolution, closed)
+        key = content_key(scene.geometry.vertices, triangles, resolution, closed, sheets)
         found = self._held.pop(key, None) or self.load(key)
         if found is None:
-            found = build_topology(scene.geometry.vertices, triangles, resolution, closed=closed, threads=threads)
+            found = build_topology(scene.geometry.vertices, triangles, resolution, closed=closed, sheets=sheets, threads=threads)
             self.save(key, found)
         self._held[key] = found
         while len(self._held) > self.capacity:
@@ -56,9 +58,9 @@ class Topologies:
 IN_MEMORY = Topologies()
 
 
-def content_key(vertices: np.ndarray, triangles: np.ndarray, resolution: int, closed: bool = True) -> str:
+def content_key(vertices: np.ndarray, triangles: np.ndarray, resolution: int, closed: bool = True, sheets: bool = True) -> str:
     """A hash of all that decides a topology."""
-    digest = hashlib.blake2b(f"{VERSION} {resolution} {closed} {vertices.shape} {triangles.shape}".encode(), digest_size=16)
+    digest = hashlib.blake2b(f"{VERSION} {resolution} {closed} {sheets} {vertices.shape} {triangles.shape}".encode(), digest_size=16)
     digest.update(np.ascontiguousarray(vertices))
     digest.update(np.ascontiguousarray(triangles))
     return digest.hexdigest()

@@ -28,7 +28,7 @@ def run(arguments: Namespace, terminal: Terminal) -> None:
     topology = None
     if arguments.topology or arguments.skeleton is not None:
         with terminal.waiting("topology"):
-            space = {"closed": arguments.outside == "closed", "cutouts": arguments.cutouts}
+            space = {"closed": arguments.outside == "closed", "cutouts": arguments.cutouts, "sheets": arguments.sheets == "walls"}
             topology = StoredTopologies().of(scene, arguments.voxels, **space)
     report = inspect(scene, topology)
     if topology is not None:

@@ -120,6 +120,7 @@ def warned(stats: dict, *words: str) -> bool:
         (["render", "cornell", "-o", "OUT", "--frames", "9-2"], ["--frames", "2-9"]),
         (["compare", "a.exr", "b.exr"], ["a.exr", "check the path"]),
         (["inspect", "cornell", "--outside", "open"], ["--outside", "--topology"]),
+        (["inspect", "cornell", "--sheets", "open"], ["--sheets", "--topology"]),
         (["bake", "cornell", "-o", "maps", "--no-light-groups"], ["--no-light-groups"]),
         (["bake", "cornell", "-o", "maps", "--interleave", "2"], ["--interleave"]),
         (["bake", "cornell", "-o", "maps", "--attributes", "--atlas"], ["--atlas", "--attributes"]),

@@ -47,7 +47,7 @@ def test_a_render_by_gates_shows_its_clusters(tmp_path):
     small = ["--size", "32x24", "--vpls", "64", "--pixel-samples", "1", "--bounces", "1", "--voxels", "32", "--debug-layers"]
     for gates in ("disks", "polygons", "off", "guided"):
         out = tmp_path / f"{gates}.exr"
-        gate_options = ["--gates", gates, "--gate-size", "1.2", "--gate-filter", "2", "--outside", "open", "--cutouts"]
+        gate_options = ["--gates", gates, "--gate-size", "1.2", "--gate-filter", "2", "--outside", "open", "--cutouts", "--sheets", "open"]
         assert main(["render", "cornell", "-o", str(out), "--method", "visibility-gates", *gate_options, *small]) == 0
         layers = read_exr(out)
         assert layers["Indirect"].mean() > 0 and layers["VisibilityClusters"].max() >= 1
