@@ -14,13 +14,17 @@ import numpy as np
 from ..jit import inlined, kernel
 from ..particles import Vpls
 from ..rays.order import morton_order
-from ..topology import SOLID, Gates, gates_by_cluster
+from ..topology import SOLID, Gates, Topology, gates_by_cluster
+from ..topology.bits import pack
 from ..topology.cones import ball_meets, cone_through
+from ..view.points import ShadingPoints
 
 POINTS = 64  # of a geometry cluster at most
 LANES = 16  # VPLs of a block at most, bits of a mask
+PLACES = 4  # points of a geometry cluster that stand for it
 GROUP = 16  # geometry clusters that are tested together first
 NO_GATE = -1  # VPL and points are in the same visibility cluster
+LINES = -2  # no gate leads from one to the other's, but they see each other: only lines of voxels tell
 LEAVING = 1 << 29  # on the number of a gate by which a line leaves the VPL's cluster, if it also enters the points' by one
 ENTERING = 1 << 30  # on the number of such a gate of the points' cluster
 NUMBER = LEAVING - 1  # the bits of the gate itself
@@ -68,10 +72,22 @@ class GateTable(NamedTuple):
     polygons: bool
 
 
+class Lines(NamedTuple):
+    """Between which voxels lines tell whether light passes.
+
+    empty: (Z, Y, W) uint64, bits of empty voxels (`topology.bits`); no words where lines are not asked.  lights: (B * LANES, 3) int32, the voxel (x, y, z) that each
+    VPL looks at.  places: (R, PLACES, 3) int32, those of some points of each geometry cluster (`place_of`).  Below 0 where there is none.
+    """
+
+    empty: np.ndarray
+    lights: np.ndarray
+    places: np.ndarray
+
+
 class Lists(NamedTuple):
     """What may light each of R geometry clusters, block by block.
 
-    first: (R + 1,) int64.  block, gate: (I,) int32: NO_GATE where no gate lies between; gates that let light in alone; then sets of gates
+    first: (R + 1,) int64.  block, gate: (I,) int32: NO_GATE where no gate lies between, LINES where none leads; gates that let light in alone; then sets of gates
     marked with LEAVING and with ENTERING, of one of which a line passes one of each.  mask: (I,) uint32, VPLs of the block.
     """
 
@@ -100,13 +116,37 @@ def runs_of(position: np.ndarray, normal: np.ndarray, cluster: np.ndarray, most:
 def lights_of(vpls: Vpls, cluster: np.ndarray) -> Lights:
     """The VPLs in blocks; cluster: (M,) int32, the visibility cluster of each."""
     blocks = runs_of(vpls.position, vpls.surface_normal, cluster, LANES)
-    sizes = np.diff(blocks.first)
-    place = np.repeat(np.arange(len(sizes)) * LANES - blocks.first[:-1], sizes) + np.arange(len(cluster))
-    table = np.zeros((9, len(sizes) * LANES), np.float32)
+    place = _columns(blocks)
+    table = np.zeros((9, len(blocks.cluster) * LANES), np.float32)
     # Places left over stand where the block's first light does, so that they are as near to any gate.
     table[:3] = np.repeat(vpls.position[blocks.order[blocks.first[:-1]]], LANES, axis=0).T
     table[:, place] = np.concatenate([vpls.position, vpls.normal, vpls.flux / np.float32(np.pi)], axis=1)[blocks.order].T
     return Lights(table, blocks)
+
+
+def _columns(blocks: Runs) -> np.ndarray:
+    """(M,) int64 columns of `Lights.table` in which the VPLs of `blocks.order` are."""
+    sizes = np.diff(blocks.first)
+    return np.repeat(np.arange(len(sizes)) * LANES - blocks.first[:-1], sizes) + np.arange(len(blocks.order))
+
+
+def place_of(q, n):
+    """The place q of PLACES among n points in order, in the middle of its share."""
+    return (2 * q + 1) * n // (2 * PLACES)
+
+
+def lines_of(topology: Topology, vpls: Vpls, lights: Lights, points: ShadingPoints, runs: Runs) -> Lines:
+    """The lines from the VPLs to the geometry clusters' places."""
+    voxels = np.full((lights.table.shape[1], 3), SOLID, np.int32)
+    voxels[_columns(lights.blocks)] = topology.voxels_at(vpls.position, vpls.surface_normal)[lights.blocks.order]
+    at = runs.order[runs.first[:-1, None] + place_of(np.arange(PLACES), np.diff(runs.first)[:, None])]
+    places = topology.voxels_at(points.position[at.ravel()], points.ng[at.ravel()])
+    return Lines(pack(topology.node_of >= 0), voxels, places.reshape(*at.shape, 3))
+
+
+def no_lines() -> Lines:
+    """Lines that are not asked."""
+    return Lines(np.empty((0, 0, 0), np.uint64), np.empty((0, 3), np.int32), np.empty((0, PLACES, 3), np.int32))
 
 
 def gate_table(gates: Gates, sight: np.ndarray, polygons: bool) -> GateTable:
@@ -187,6 +227,7 @@ def _candidates(lights, table, cones, cluster, sx, sy, sz, radius, block, gate):
             continue
         if not table.sight[c, cluster]:
             continue
+        before = n
         for k in range(table.first[c], table.first[c + 1]):
             if not table.sight[_beyond(table, c, table.of[k]), cluster]:
                 continue
@@ -194,6 +235,9 @@ def _candidates(lights, table, cones, cluster, sx, sy, sz, radius, block, gate):
             if ball_meets(cone[0], cone[1], cone[2], cone[3], cone[4], cone[5], cone[6], cone[7], sx, sy, sz, radius):
                 block[n], gate[n] = b, table.of[k]
                 n += 1
+        if n == before and table.polygons:
+            block[n], gate[n] = b, LINES
+            n += 1
     return n
 
 
@@ -216,12 +260,25 @@ def _entrances(runs, r, table, cones):
 def _list_block(runs, r, lights, table, block, gates, entrances, found_gate, found_mask):
     """What joins a block to a geometry cluster: gates and masks into `found_gate`, `found_mask`; their number, 0 if nothing does.
 
-    gates: of the block's cluster, candidates, or NO_GATE alone.  entrances: cones through the gates of the points' cluster.
+    As `_list_gates`; polygons leave it to lines where no gate leads.
+    """
+    found = 1
+    found_gate[0], found_mask[0] = gates[0], _ALL
+    if gates[0] >= 0:
+        found = _list_gates(runs, r, lights, table, block, gates, entrances, found_gate, found_mask)
+        if found == 0 and table.polygons:
+            found = 1
+            found_gate[0], found_mask[0] = LINES, _ALL
+    return found
+
+
+@kernel
+def _list_gates(runs, r, lights, table, block, gates, entrances, found_gate, found_mask):
+    """The gates and masks by which light of a block may reach a geometry cluster into `found_gate`, `found_mask`; their number.
+
+    gates: of the block's cluster, candidates.  entrances: cones through the gates of the points' cluster.
     Polygons are listed by the shortest ways: a single gate, then pairs by one cluster between, and only where there is none longer ones.
     """
-    if gates[0] == NO_GATE:
-        found_gate[0], found_mask[0] = NO_GATE, _ALL
-        return 1
     blocks, own, cluster = lights.blocks, lights.blocks.cluster[block], runs.cluster[r]
     leaving = np.empty(len(gates), np.int64)
     masks = np.empty(len(gates), np.uint32)

@@ -7,10 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import inlined, kernel
 from ..topology.gates import CELLS, SIDES
-from .gate_lists import ENTERING, LANES, LEAVING, NO_GATE, NUMBER, POINTS
+from ..topology.lines import free_line_of_bits
+from .gate_lists import ENTERING, LANES, LEAVING, LINES, NO_GATE, NUMBER, PLACES, POINTS, place_of
 
+# How far it is believed, beside lines of voxels, that a visibility cluster sees itself, and that a line through polygons is free.
+OWN, THROUGH = np.float32(0.4), np.float32(0.6)
+_place_of = inlined(place_of)
 _TINY = np.float32(1e-15)  # m^2: keeps r^4 above zero
 _ALL = np.uint32((1 << LANES) - 1)
 _0 = np.float32(0.0)
@@ -109,15 +113,104 @@ def _pass_gate(table, at, gates, g, polygons, mask, local, n, passed, scratch):
 
 
 @kernel
-def see(lights, lists, begin, end, gate_table, local, n, seen, passed, scratch):
+def _shares_of_places(local, n, share):
+    """By how much each place of a geometry cluster speaks for each of its n points, into `share` (PLACES, POINTS): inverse squared distances."""
+    for k in range(n):
+        total = _0
+        for q in range(PLACES):
+            i = _place_of(q, n)
+            d2 = _TINY
+            for a in range(3):
+                d2 += (local[a, k] - local[a, i]) ** 2
+            share[q, k] = _1 / d2
+            total += _1 / d2
+        for q in range(PLACES):
+            share[q, k] /= total
+
+
+@kernel
+def _faces_places(table, j, local, n):
+    """Whether VPL j and any place of n points face each other."""
+    for q in range(PLACES):
+        k = _place_of(q, n)
+        dx, dy, dz = table[0, j] - local[0, k], table[1, j] - local[1, k], table[2, j] - local[2, k]
+        at_point = local[3, k] * dx + local[4, k] * dy + local[5, k] * dz
+        if at_point > _0 and table[3, j] * dx + table[4, j] * dy + table[5, j] * dz < _0:
+            return True
+    return False
+
+
+@inlined
+def _free(lines, light, r, q):
+    """Whether the line from a VPL's voxel to a place of geometry cluster r is free; it counts as free where either has no voxel."""
+    place = lines.places[r, q]
+    if light[0] < 0 or place[0] < 0:
+        return True
+    return free_line_of_bits(lines.empty, light[0], light[1], light[2], place[0], place[1], place[2])
+
+
+@kernel
+def _see_lines(lines, table, r, at, lanes, share, local, n, seen):
+    """What n points see of the VPLs from column `at`, by lines of voxels to their places, into `seen` (LANES, POINTS); whether anything."""
+    some = False
+    for lane in range(lanes):
+        of, light = seen[lane], lines.lights[at + lane]
+        of[:n] = _0
+        if not _faces_places(table, at + lane, local, n):
+            continue
+        first, last = _free(lines, light, r, 0), _free(lines, light, r, PLACES - 1)
+        some |= first or last
+        for q in range(PLACES):
+            # Where the outermost two agree, those between are not asked.
+            free = first if q == 0 or first == last else last if q == PLACES - 1 else _free(lines, light, r, q)
+            if free:
+                some = True
+                for k in range(n):
+                    of[k] += share[q, k]
+    return some
+
+
+@kernel
+def see(lights, lists, begin, end, gate_table, lines, r, share, local, n, seen, passed, scratch):
+    """What n points of geometry cluster r see of the VPLs of a block, listed in begin..end-1, into `seen` (LANES, POINTS); whether anything.
+
+    By its gates all or nothing; by them and by lines, where these are asked, a part: what gates let through is believed to THROUGH, that a
+    cluster sees itself to OWN, and lines for the rest.  share: of the places, for lines.  passed: (2, LANES, POINTS), scratch: (3, POINTS)
+    float32, scratch.
+    """
+    block, first = lists.block[begin], lists.gate[begin]
+    at, lanes = block * LANES, lights.blocks.first[block + 1] - lights.blocks.first[block]
+    asked = lines.empty.size > 0
+    if first == LINES:
+        return asked and _see_lines(lines, lights.table, r, at, lanes, share, local, n, seen)
+    if first == NO_GATE:
+        if not asked:
+            seen[:, :n] = _1
+            return True
+        _see_lines(lines, lights.table, r, at, lanes, share, local, n, seen)
+        for lane in range(lanes):
+            for k in range(n):
+                seen[lane, k] = OWN + (_1 - OWN) * seen[lane, k]
+        return True
+    some = _see_through(lights, lists, begin, end, gate_table, local, n, seen, passed, scratch)
+    if not asked:
+        return some
+    some |= _see_lines(lines, lights.table, r, at, lanes, share, local, n, passed[0])
+    for lane in range(lanes):
+        by_gates, by_lines = seen[lane], passed[0, lane]
+        for k in range(n):
+            believed = THROUGH * by_gates[k]
+            by_gates[k] = believed + (_1 - believed) * by_lines[k]
+    return some
+
+
+@kernel
+def _see_through(lights, lists, begin, end, gate_table, local, n, seen, passed, scratch):
     """Set `seen` (LANES, POINTS) to 1 where n points see the VPLs of a block, listed in begin..end-1, through gates; whether any does.
 
     passed: (2, LANES, POINTS), scratch: (3, POINTS) float32, scratch.
     """
     at = lists.block[begin] * LANES
-    if lists.gate[begin] == NO_GATE:
-        seen[:, :n] = _1
-        return True
     seen[:, :n] = _0
     gates, polygons = gate_table.gates, gate_table.polygons
     some = False
@@ -149,23 +242,26 @@ def see(lights, lists, begin, end, gate_table, local, n, seen, passed, scratch):
 
 
 @kernel
-def shade(points, runs, begin, end, lights, lists, gate_table, g_max, out):
+def shade(points, runs, begin, end, lights, lists, gate_table, lines, g_max, out):
     """The listed light of the points of the geometry clusters begin..end-1 into their places in `out`; the pairs shaded.
 
     A VPL lights a point once, through however many gates their line passes.
     """
     seen, passed = np.empty((LANES, POINTS), np.float32), np.empty((2, LANES, POINTS), np.float32)
     scratch, local, light = np.empty((3, POINTS), np.float32), np.empty((9, POINTS), np.float32), np.empty((3, POINTS), np.float32)
+    share = np.empty((PLACES, POINTS), np.float32)
     pairs = 0
     for r in range(begin, end):
         n = gathered(points, runs, r, local)
+        if lines.empty.size:
+            _shares_of_places(local, n, share)
         light[:] = _0
         i = lists.first[r]
         while i < lists.first[r + 1]:
             block, last = lists.block[i], i + 1
             while last < lists.first[r + 1] and lists.block[last] == block:
                 last += 1
-            if see(lights, lists, i, last, gate_table, local, n, seen, passed, scratch):
+            if see(lights, lists, i, last, gate_table, lines, r, share, local, n, seen, passed, scratch):
                 lanes = lights.blocks.first[block + 1] - lights.blocks.first[block]
                 light_block(lights.table, block * LANES, lanes, local, n, seen, seen, seen, g_max, light)
                 pairs += n * lanes

@@ -31,7 +31,8 @@ _GATHER_CHUNK = 256  # points
 class VisibilityGates:
     """Light of the VPLs of a point's own visibility cluster, and of others through gates.
 
-    topology: of the scene.  gates: `disks` as in the paper, `polygons` fitted to the openings, or `off`: light stays in its cluster; `guided`:
+    topology: of the scene.  gates: `disks` as in the paper, `polygons` fitted to the openings, with lines of voxels as
+        a second opinion, or `off`: light stays in its cluster; `guided`:
         shadow rays wherever the polygons leave it open whether a line is free.
     oversize: factor on the gates' radii.  More than 1 lets in what disks are too small for, and more that is hidden.
     blend: voxels around a point over whose visibility clusters its light is blended, so that borders show no edge; 0 for its own alone.  Guided
@@ -125,8 +126,12 @@ class VisibilityGates:
         cutouts = bool((self.scene.materials.flags & TRANSPARENT).any())
         seed, sight = np.uint32(self.seed), self.topology.sight
 
+        lines = gate_lists.no_lines()
+        if self.gates == "polygons":
+            lines = gate_lists.lines_of(self.topology, self.vpls, self.lights, points, self.runs)
+
         def listed(begin, end):
-            return 0, 0, shade(points, self.runs, begin, end, self.lights, lists, self.table, self.g_max, light)
+            return 0, 0, shade(points, self.runs, begin, end, self.lights, lists, self.table, lines, self.g_max, light)
 
         def guided(begin, end):
             return shade_guided(self.scene, self.vpls, points, self.runs, begin, end, self.lights, sight, cutouts, self.g_max, seed, light)

@@ -12,7 +12,7 @@ from .blending import Shares, shares_around
 from .clusters import ALPHA, visibility_clusters
 from .gates import Gates, disk_gates, polygon_gates
 from .merging import SHARE, merged
-from .nearest import SOLID, look_up, nodes_of_voxels
+from .nearest import SOLID, look_up, nodes_of_voxels, voxels_at
 from .segmentation import Segmented, segment
 from .sheets import thin_sheets
 from .sight import sight_of
@@ -59,6 +59,12 @@ class Topology:
         """
         out = np.empty(len(points), np.int32)
         look_up(self.node_of, self.grid.low, 1.0 / self.grid.size, points, normals, out)
+        return out
+
+    def voxels_at(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """(N, 3) int32 empty voxels (x, y, z) that surface points look at; -1 where there is none near."""
+        out = np.empty((len(points), 3), np.int32)
+        voxels_at(self.node_of, self.grid.low, 1.0 / self.grid.size, points, normals, out)
         return out
 
     def clusters_at(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:

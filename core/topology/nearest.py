@@ -105,3 +105,11 @@ def look_up(label, low, scale, points, normals, out):
         x, y, z = (points[p, 0] - low[0]) * scale, (points[p, 1] - low[1]) * scale, (points[p, 2] - low[2]) * scale
         i, j, k = empty_voxel(label, x, y, z, normals[p, 0], normals[p, 1], normals[p, 2])
         out[p] = label[k, j, i] if i >= 0 else SOLID
+
+
+@kernel
+def voxels_at(label, low, scale, points, normals, out):
+    """The voxel (x, y, z) that each point looks at, into `out` (N, 3) int32; -1 if it looks at none.  The rest as in `look_up`."""
+    for p in range(len(points)):
+        x, y, z = (points[p, 0] - low[0]) * scale, (points[p, 1] - low[1]) * scale, (points[p, 2] - low[2]) * scale
+        out[p, 0], out[p, 1], out[p, 2] = empty_voxel(label, x, y, z, normals[p, 0], normals[p, 1], normals[p, 2])

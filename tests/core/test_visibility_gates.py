@@ -103,6 +103,12 @@ def test_gates_are_nearer_to_shadow_rays_than_no_shadows(rooms):
     assert polygons < 0.2 * without
 
 
+def test_lines_of_voxels_are_a_second_opinion(rooms, monkeypatch):
+    both = _error(rooms, _solve(rooms, "polygons")[1])
+    monkeypatch.setattr(gate_lists, "lines_of", lambda *_: gate_lists.no_lines())
+    assert both < 0.9 * _error(rooms, _solve(rooms, "polygons")[1])
+
+
 def test_gates_off_keep_light_in_its_cluster(rooms):
     _, topology, points, vpls, truth = rooms
     solver, light = _solve(rooms, "off")
@@ -277,7 +283,7 @@ def test_the_filter_has_no_effect_far_from_borders(rooms):
 def test_a_blend_is_the_mean_of_what_its_clusters_get(rooms):
     # A slow look at one point: its light in each of its clusters, put together by hand.
     _, topology, points, _, _ = rooms
-    solver, soft = _solve(rooms, "polygons", blend=4)
+    solver, soft = _solve(rooms, "disks", blend=4)
     shares = topology.shares_around(points.position, points.ng, 4)
     p = np.bincount(shares.item, minlength=len(soft)).argmax()
     of = shares.item == p
@@ -289,7 +295,7 @@ def test_a_blend_is_the_mean_of_what_its_clusters_get(rooms):
             [gate_lists.assign(runs, 0, 1, solver.lights, solver.table, gate_lists.cones_of(solver.lights, solver.table))]
         )
         out = np.zeros((1, 3), np.float32)
-        shade(one, runs, 0, 1, solver.lights, lists, solver.table, solver.g_max, out)
+        shade(one, runs, 0, 1, solver.lights, lists, solver.table, gate_lists.no_lines(), solver.g_max, out)
         light = light + share * out[0]
     assert of.sum() > 1
     assert np.allclose(soft[p], light, rtol=1e-4)
@@ -310,6 +316,8 @@ def test_polygons_let_light_in_by_gates_of_one_way_only(rooms):
                 assert own == cluster
                 continue
             assert topology.sight[own, cluster]
+            if marks[0] == gate_lists.LINES:
+                continue
             gates, leaving = marks & gate_lists.NUMBER, (marks & gate_lists.LEAVING) > 0
             entering = (marks & gate_lists.ENTERING) > 0
             alone = ~leaving & ~entering
