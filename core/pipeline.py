@@ -10,13 +10,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .beside import side_by_side
 from .coincident import covered_places, warning_line
 from .denoise import Denoiser
 from .enlarged import enlarged
 from .lamps import DirectLight, LightGroups, sharp_emitters, world_tables
 from .layers import Layers
 from .memory import check_memory
+from .methods.caustics import bends_light
 from .methods.glossy import Reflections, has_lobes
+from .methods.importance_sampling import ImportanceSampling
 from .methods.wide_lobes import sees_alike
 from .passes import Passes, has_few_rays
 from .picture import Picture, nearest_triangles, splat
@@ -369,14 +372,23 @@ def _pass(
     wants = settings.wants
     wants_glossy = wants("Direct", "Combined", "GlossyIndirect", "Indirect")
     wants_indirect = wants("DiffuseIndirect", "Indirect", "Irradiance", "Combined") or (behind_glass and wants("GlossyIndirect"))
-    sampler = cache_stage(run, tables, points, settings, threads) if wants_glossy or wants_indirect else None
-    light = DirectLight(nothing, nothing, nothing, nothing)
-    mirrored = Reflections(nothing, nothing, 0, nothing[:, :3])
-    indirect, foreseen = nothing, None
-    if wants_indirect:
-        glossy = wants_glossy and has_lobes(points) and sees_alike(scene.geometry.object_visibility)
-        indirect, vpls = indirect_stage(run, tables, points, seen.shape[1], settings, threads, sampler, glossy=glossy)
+    lobes = wants_glossy and has_lobes(points) and sees_alike(scene.geometry.object_visibility)
+
+    def cache(run: Run) -> ImportanceSampling | None:
+        return cache_stage(run, tables, points, settings, threads) if wants_glossy or wants_indirect else None
+
+    def direct(run: Run, sampler: ImportanceSampling | None = None) -> DirectLight:
+        if not (wants("Direct", "Combined") or behind_glass or ((wants_indirect or wants_glossy) and refractive(tables))):
+            return DirectLight(nothing, nothing, nothing, nothing)
+        with run.stage("direct") as tick:
+            return direct_stage(run, scene, tables, points, settings, threads, tick, sampler)
+
+    def indirect_of(run: Run, sampler: ImportanceSampling | None) -> tuple[np.ndarray, np.ndarray | None]:
+        if not wants_indirect:
+            return nothing, None
+        indirect, vpls = indirect_stage(run, tables, points, seen.shape[1], settings, threads, sampler, glossy=lobes)
         run.vpls += len(vpls.bounce)
+        foreseen = None
         if sampler and sampler.lights is not None and settings.denoise:
             with run.stage("indirect"):
                 foreseen = sampler.foreseen(points, seen.shape)
@@ -385,11 +397,27 @@ def _pass(
             run.debug = single_lights(tables, vpls, points, seen.shape, threads)
             if run.clusters is not None:
                 run.debug |= run.clusters.debug_layers(points, seen.shape)
-    if wants("Direct", "Combined") or behind_glass or ((wants_indirect or wants_glossy) and refractive(tables)):
-        with run.stage("direct") as tick:
-            light = direct_stage(run, scene, tables, points, settings, threads, tick, sampler)
-    if wants_glossy:
-        mirrored = glossy_stage(run, tables, points, settings, threads, sampler)
+        return indirect, foreseen
+
+    def glossy(run: Run, sampler: ImportanceSampling | None) -> Reflections:
+        if not wants_glossy:
+            return Reflections(nothing, nothing, 0, nothing[:, :3])
+        return glossy_stage(run, tables, points, settings, threads, sampler)
+
+    if not settings.smooth:  # direct light and reflections are told what the gather rays before them have found
+        sampler = cache(run)
+        indirect, foreseen = indirect_of(run, sampler)
+        light, mirrored = direct(run, sampler), glossy(run, sampler)
+    elif bends_light(tables):  # the cache tells direct light where to look for what lenses throw
+        sampler = cache(run)
+        (indirect, foreseen), (light, mirrored) = side_by_side(
+            run, threads, lambda run: indirect_of(run, sampler), lambda run: (direct(run, sampler), glossy(run, sampler))
+        )
+    else:
+        sampler, light = side_by_side(run, threads, cache, direct)
+        (indirect, foreseen), mirrored = side_by_side(
+            run, threads, lambda run: indirect_of(run, sampler), lambda run: glossy(run, sampler)
+        )
     LOADED.add(settings.method)
     picture = Picture.compose(
         seen, light.irradiance, indirect + light.irradiance_by_glass, light.glossy + mirrored.direct,

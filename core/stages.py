@@ -91,6 +91,20 @@ class Run:
         if not any(line.lstrip("0123456789,") == other.lstrip("0123456789,") for other in self.warnings):
             self.warnings.append(line)
 
+    def add(self, other: Run) -> None:
+        """Take over what another run of the same render has counted and remarked."""
+        for stage, seconds in other.seconds.items():
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+        for kind, rays in other.rays.items():
+            self.rays[kind] = self.rays.get(kind, 0) + rays
+        self.pairs, self.vpls, self.debug = self.pairs + other.pairs, self.vpls + other.vpls, self.debug | other.debug
+        for remark in other.skipped:
+            self.skip(remark.stage, remark.reason)
+        for line in other.warnings:
+            self.warn(line)
+        for stage, counts in other.left_out.items():
+            self.leave_out(stage, *counts)
+
     def leave_out(self, stage: str, left: int, of: int) -> None:
         """Count `left` of `of` things that cost nothing, for `savings`."""
         before = self.left_out.get(stage, (0, 0))

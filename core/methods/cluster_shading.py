@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import inlined, kernel
 from ..particles import Vpls
 from ..rays.offsets import shadow_segment
 from ..rays.packet import WIDTH, new_packet, set_ray
@@ -23,6 +23,11 @@ from ..surfaces.visibility import shadow_packet
 
 SEEN = 255  # what the weights of a point add up to
 LIGHT_TILE = 512  # lights whose table stays in the first cache, while a chunk of points is lit by them
+# A light that gives less than FAINT of the mean of all lights, unshadowed, has a shadow ray from one in SHARERS neighbouring clusters only,
+# if the others lie no farther from it than NEARBY times the light: of a sphere about the light they see much the same part.
+FAINT = np.float32(3.0)
+SHARERS = 8
+NEARBY = np.float32(0.35)
 _TINY = np.float32(1e-15)  # m^2: keeps r^4 above zero
 _GOLDEN = 0.6180339887498949  # its multiples fill the unit interval evenly
 _0 = np.float32(0.0)
@@ -89,6 +94,34 @@ def _light_at(lights, m, places, g_max, out):
 
 
 @kernel
+def _faintest(lights, begin, end, places, g_max, out):
+    """What a light must give to each of N points for a ray of its own, into out (N,); places: (6, N), positions and normals."""
+    light = np.empty(len(out), np.float32)
+    out[:] = _0
+    for m in range(begin, end):
+        _light_at(lights, m, places, g_max, light)
+        for n in range(len(out)):
+            out[n] += light[n]
+    share = FAINT / np.float32(max(end - begin, 1))
+    for n in range(len(out)):
+        out[n] *= share
+
+
+@inlined
+def _asks(places, light, least, lights, m, n, k):
+    """The point whose ray to light m, of cluster k, tells point n, too: n itself unless it is faint for both, and the other is near."""
+    other = n // SHARERS * SHARERS + k % SHARERS
+    if light[n] >= least[n] or other >= len(light) or not light[other] > _0:
+        return n
+    position = lights.vpls.position
+    apart, away = _0, _0
+    for c in range(3):
+        apart += (places[c, n] - places[c, other]) ** 2
+        away += (places[c, n] - position[m, c]) ** 2
+    return other if apart <= NEARBY * NEARBY * away else n
+
+
+@kernel
 def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_max, cutouts, seed, visible, seen):
     """Shadow rays from the points begin..end-1, representatives of clusters, to one light of each cluster light_begin..light_end-1.
 
@@ -108,6 +141,9 @@ def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_
         for c in range(3):
             places[c, i - begin], places[3 + c, i - begin] = points.position[i, c], points.ng[i, c]
     light, member = np.empty(end - begin, np.float32), np.empty(end - begin, np.int64)
+    least, asked = np.zeros(end - begin, np.float32), np.arange(end - begin)
+    if len(lights.power) == len(first) - 1:
+        _faintest(lights, light_begin, light_end, places, g_max, least)
     rays = 0
     for k in range(light_begin, light_end):
         column, last = first[k] - first[light_begin], first[k + 1] - first[light_begin]
@@ -115,6 +151,8 @@ def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_
         if first[k + 1] == first[k] + 1:
             member[:] = first[k]
             _light_at(lights, first[k], places, g_max, light)
+            for n in range(end - begin):
+                asked[n] = _asks(places, light, least, lights, first[k], n, k)
         else:
             for n in range(end - begin):
                 member[n], light[n] = _drawn_member(
@@ -125,6 +163,9 @@ def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_
             lanes = 0
             while i < end and lanes < WIDTH:
                 n = i - begin
+                if asked[n] != n:
+                    i += 1
+                    continue
                 if light[n] > _0:
                     seen[i, 1] += light[n]
                     m = member[n]
@@ -149,6 +190,13 @@ def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_
                 seen[at, 0] += light[at - begin] * share
                 is_open = share >= _1 or (share > _0 and uniform(seed, at, k, 1) < share)
                 visible[at, column:last] = SEEN if is_open else 0
+        for n in range(end - begin):
+            if asked[n] != n:
+                is_open = light[n] > _0 and visible[begin + asked[n], column] > 0
+                visible[begin + n, column] = SEEN if is_open else 0
+                seen[begin + n, 1] += light[n]
+                if is_open:
+                    seen[begin + n, 0] += light[n]
     return rays
 
 

@@ -191,8 +191,8 @@ class FuzzyClustering:
         """Adds the light that the clamp took: a mean for each cluster, found at random members, blended like visibility."""
         view = self.view
         count = max(self.compensation, -(-FEWEST_RAYS // len(view.at)))
-        at = points.take(view.random_members(count, np.random.default_rng(self.seed)))
-        lost = np.zeros((len(at.pixel), 3), np.float32)
+        at = _places(points, view.random_members(count, np.random.default_rng(self.seed)))
+        lost = np.zeros((len(at.position), 3), np.float32)
 
         def gather(begin, end):
             return compensate(self.scene, self.cache, at, begin, end, self.g_max, 1, self.bounces, np.uint32(self.seed + 1), lost)
@@ -242,6 +242,12 @@ class FuzzyClustering:
         pictures |= {f"FuzzyWeights{k}": padded[:, 3 * k : 3 * k + 3] for k in range(padded.shape[1] // 3)}
         pictures |= {"VisibleShare": share[hard], "VisibleShareBlended": blended}
         return {name: pixel_maxima(values, points.pixel, shape) for name, values in pictures.items()}
+
+
+def _places(points: ShadingPoints, index: np.ndarray) -> ShadingPoints:
+    """The points at `index`, of which gather rays read no more than these fields; the others, ten times as large, have no rows."""
+    read = ("position", "ns", "ng", "error")
+    return ShadingPoints(*(a[index] if name in read else a[:0] for name, a in zip(points._fields, points)))
 
 
 def lights_of(vpls: Vpls, clusters: VplClusters, shade_with: str) -> Lights:

@@ -159,7 +159,8 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                 u, v = hit_uv[lane, 0], hit_uv[lane, 1]
                 wr = wg = wb = _1
                 entered = OUTSIDE
-                if scene.materials.flags[scene.material[triangle]] & TRANSPARENT:
+                veiled = scene.materials.flags[scene.material[triangle]] & TRANSPARENT != 0
+                if veiled:
                     cosine = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
                     ox, oy, oz = offset_origin(px, py, pz, points.ng[k, 0], points.ng[k, 1], points.ng[k, 2], points.error[k], dx, dy, dz)
                     triangle, u, v, _, wr, wg, wb, _, entered = nearest_surface(
@@ -167,20 +168,20 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                     )
                     if triangle < 0:
                         continue
-                else:
-                    evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
                 x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
-                sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
-                sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
                 cos_y = -(gx * dx + gy * dy + gz * dz)
-                if cos_y < 0:
-                    gx, gy, gz, sx, sy, sz, cos_y = -gx, -gy, -gz, -sx, -sy, -sz, -cos_y
                 ex, ey, ez = x - px, y - py, z - pz
                 r2_ = max(ex * ex + ey * ey + ez * ez, np.float32(1e-30))
                 cos_x = points.ns[k, 0] * dx + points.ns[k, 1] * dy + points.ns[k, 2] * dz
-                g = cos_x * cos_y / r2_
+                g = cos_x * abs(cos_y) / r2_
                 if g <= g_max or not max(wr, wg, wb) > 0:
                     continue
+                if not veiled:  # not before: of half of the hits nothing was taken, and to shade one costs as much as its ray
+                    evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
+                sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+                sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
+                if cos_y < 0:
+                    gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
                 w = (g - g_max) / g * share
                 path_light(
                     scene, packet, rows, surface, lobe, cache, near, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered,
