@@ -209,8 +209,15 @@ class Picture:
         found = {}
         if indirect and self.smooth is not None:
             noisy = self.diffuse_indirect - self.smooth
-            if noisy.any():
-                found["diffuse_indirect"] = self.smooth + cleaned(noisy, self.albedo, clean_aux=True)
+            lit = noisy.any(axis=2)
+            if lit.any():  # what lenses throw, as a rule: on a few pixels
+                part = _around(lit)
+                light = self.diffuse_indirect.copy()
+                light[part] = self.smooth[part] + denoiser.denoise(
+                    noisy[part], self.albedo[part], own[part], position=self.position[part], clean_aux=True, preserve_mean=True,
+                    quality=quality, threads=threads,
+                )  # fmt: skip
+                found["diffuse_indirect"] = light
         elif indirect and self.diffuse_indirect.any():
             light = clean.diffuse_indirect if clean else self._diffuse_cleaned(denoiser, cleaned, threads)
             if self.points:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .beside import side_by_side
 from .coincident import covered_places, warning_line
 from .denoise import Denoiser
 from .enlarged import enlarged
@@ -39,6 +38,7 @@ from .stages import (
     method_of,
     prepared,
     refractive,
+    side_by_side,
     single_lights,
     within_reach,
 )
@@ -344,6 +344,7 @@ def _look(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
                 run.groups,
                 settings.film,
                 covered_places(run.black, len(scene.geometry.triangles)),
+                quick=settings.smooth,
             )
 
         seen = run.sequence.view(scene, settings, look) if run.sequence else look()
@@ -415,9 +416,7 @@ def _pass(
         )
     else:
         sampler, light = side_by_side(run, threads, cache, direct)
-        (indirect, foreseen), mirrored = side_by_side(
-            run, threads, lambda run: indirect_of(run, sampler), lambda run: glossy(run, sampler)
-        )
+        (indirect, foreseen), mirrored = side_by_side(run, threads, lambda run: indirect_of(run, sampler), lambda run: glossy(run, sampler))
     LOADED.add(settings.method)
     picture = Picture.compose(
         seen, light.irradiance, indirect + light.irradiance_by_glass, light.glossy + mirrored.direct,

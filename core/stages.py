@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -30,13 +32,14 @@ from .methods.visibility_gates import VisibilityGates
 from .particles import Vpls, trace_by_power, trace_particles
 from .picture import splat
 from .planning.planner import Planner
+from .rays import RayScene
 from .reuse import Sequence
 from .reuse.sequence import ray_scene
 from .scene import AREA, POINT, REFRACTIVE, SPOT, Scene, Skipped
 from .settings import RenderSettings
 from .surfaces.brushed import with_brushed
 from .surfaces.program import with_viewer
-from .threads import Cancelled
+from .threads import PROGRESS_SECONDS, Cancelled
 from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, reachable_vpls, rooms_seen, without_emitters
 from .transport import Transport, is_translucent, transport
 from .view.points import ShadingPoints
@@ -44,10 +47,11 @@ from .vpl_pool import MOST_BATCHES, vpl_pool, vpl_sequence
 
 # progress(stage, fraction) -> True to go on, False to cancel.
 StageProgress = Callable[[str, float], bool]
+Here, Aside = TypeVar("Here"), TypeVar("Aside")
 
 AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "virtual-area-lights", "visibility-gates", "importance-sampling")
 TURN = 32452843  # between the seeds of a sequence's turns
-FEW_BATCHES = 4  # of particles, for lights that are clustered: more of them cost time and leave the picture as it is
+FEW_BATCHES = 2  # of particles, for lights that are clustered: more of them cost time and leave the picture as it is
 CLUSTER_GATHER = 2  # gather rays of a cluster, for each that a point would get: its many points share what they find
 SMALL_CACHE = 0.5  # times the paths of the accurate method's smallest cache of light are a preview's
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
@@ -136,6 +140,43 @@ class Run:
         self.seconds["jit"] = self.seconds.get("jit", 0.0) + jit
 
 
+def side_by_side(run: Run, threads: int, here: Callable[[Run], Here], aside: Callable[[Run], Aside]) -> tuple[Here, Aside]:
+    """`here(run)` and `aside(another run)`, on a thread of its own, whose counts are added to those of `run`.
+
+    Neither may read what the other writes: results are then those of one after the other, which is what one thread gives.
+    Stages that run at once share the cores; their seconds add up to more than the time that passes.
+
+    Raises:
+        Cancelled: the progress function of `run` returned False; `aside` hears of it as it would of its own.
+    """
+    if threads < 2:
+        return here(run), aside(run)
+    stopped, latest = False, ("", 0.0)
+
+    def listen(stage: str, done: float) -> bool:
+        nonlocal latest
+        latest = stage, done
+        return not stopped
+
+    other = replace(
+        run, progress=listen, seconds={}, rays=dict.fromkeys(run.rays, 0), pairs=0, vpls=0, skipped=[], warnings=[], left_out={}, debug={}
+    )
+    before = run.seconds.get("jit", 0.0)
+    with ThreadPoolExecutor(1, thread_name_prefix="lumigate-beside") as thread, CompileTimer() as compiling:
+        pending = thread.submit(aside, other)
+        try:
+            found = here(run)
+            while wait([pending], timeout=PROGRESS_SECONDS).not_done:  # the timeout lets Ctrl-C and a cancel button through
+                if run.progress is not None and latest[0] and not run.progress(*latest):
+                    raise Cancelled
+        finally:
+            stopped = True  # nobody may go on once the caller has closed the scene: leaving the block waits
+        result = pending.result()
+    run.add(other)
+    run.seconds["jit"] = before + compiling.seconds  # each of the two has counted what either compiled
+    return found, result
+
+
 def method_of(settings: RenderSettings) -> str:
     """The method that runs."""
     if settings.method not in AVAILABLE:
@@ -146,20 +187,25 @@ def method_of(settings: RenderSettings) -> str:
 @contextmanager
 def prepared(run: Run, scene: Scene, settings: RenderSettings, threads: int, topologies: Topologies = IN_MEMORY) -> Iterator[Transport]:
     """The tables of a scene, whose rays can be traced inside the block; remarks on it, and its topology, go into `run`."""
-    with run.stage("rays"):
-        rays = run.sequence.rays(scene) if run.sequence else ray_scene(scene)
-    with nullcontext() if run.sequence else rays:
-        with run.stage("emitters"):
-            emitters = run.sequence.emitters(scene, run.groups) if run.sequence else build_emitters(scene, groups=run.groups)
-            if not settings.skipping:
-                emitters = one_by_one(emitters)
-            skipped, warnings = foresee(scene, emitters)
-            run.skipped = [*scene.skipped, *skipped]
-            run.foreseen = savings(scene, emitters, settings.direct_samples)
-            run.warnings += [*scene.warnings, *warnings]
-            run.black = coincident(scene)
-            materials = with_brushed(with_viewer(scene, directly=False), scene.geometry)
-            tables = without_reflection(transport(scene.geometry, materials, rays.tables, emitters), run.black)
+    with ExitStack() as opened:
+
+        def trees(run: Run) -> RayScene:
+            with run.stage("rays"):
+                return run.sequence.rays(scene) if run.sequence else opened.enter_context(ray_scene(scene))
+
+        def lights(run: Run):
+            with run.stage("emitters"):
+                emitters = run.sequence.emitters(scene, run.groups) if run.sequence else build_emitters(scene, groups=run.groups)
+                if not settings.skipping:
+                    emitters = one_by_one(emitters)
+                remarks = *foresee(scene, emitters), savings(scene, emitters, settings.direct_samples)
+                return emitters, with_brushed(with_viewer(scene, directly=False), scene.geometry), coincident(scene), remarks
+
+        at_once = 1 if run.sequence else threads
+        rays, (emitters, materials, run.black, (skipped, warnings, run.foreseen)) = side_by_side(run, at_once, trees, lights)
+        run.skipped = [*scene.skipped, *skipped]
+        run.warnings += [*scene.warnings, *warnings]
+        tables = without_reflection(transport(scene.geometry, materials, rays.tables, emitters), run.black)
         if settings.method == "visibility-gates":
             with run.stage("topology"):
                 space = {"closed": settings.outside == "closed", "cutouts": settings.cutouts, "sheets": settings.sheets == "walls"}

@@ -44,7 +44,7 @@ COARSE = 64
 OUTLIER = 2.0
 BROAD_FUZZINESS = 6
 _TRAINING = 4  # training points a cluster
-_ITERATIONS = 3
+_ITERATIONS = 2
 
 
 @dataclass(frozen=True)
