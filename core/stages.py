@@ -53,7 +53,8 @@ AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "virtual-area-lights", "vi
 TURN = 32452843  # between the seeds of a sequence's turns
 FEW_BATCHES = 2  # of particles, for lights that are clustered: more of them cost time and leave the picture as it is
 CLUSTER_GATHER = 2  # gather rays of a cluster, for each that a point would get: its many points share what they find
-SMALL_CACHE = 0.5  # times the paths of the accurate method's smallest cache of light are a preview's
+SHARERS = 8  # neighbouring clusters that share a shadow ray to a light which gives them little
+SMALL_CACHE = 0.25  # times the paths of the accurate method's smallest cache of light are a preview's
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
 # What only a render can count.
 LEFT_OUT = {
@@ -440,6 +441,7 @@ def _solver(run: Run, settings: RenderSettings, width: int | None, threads: int,
             weighting=settings.weighting,
             shade_with=settings.shade_with,
             compensation=CLUSTER_GATHER * compensation,
+            sharers=SHARERS,
             cache=sampler.cache if sampler else None,
             **common,
         )

@@ -23,10 +23,9 @@ from ..surfaces.visibility import shadow_packet
 
 SEEN = 255  # what the weights of a point add up to
 LIGHT_TILE = 512  # lights whose table stays in the first cache, while a chunk of points is lit by them
-# A light that gives less than FAINT of the mean of all lights, unshadowed, has a shadow ray from one in SHARERS neighbouring clusters only,
-# if the others lie no farther from it than NEARBY times the light: of a sphere about the light they see much the same part.
+# A light that gives a point less than FAINT times the mean of all lights, unshadowed, is asked for by one of several neighbouring points for all of
+# them, as far as these lie no farther from it than NEARBY times the light: what lies in between is much the same.
 FAINT = np.float32(3.0)
-SHARERS = 8
 NEARBY = np.float32(0.35)
 _TINY = np.float32(1e-15)  # m^2: keeps r^4 above zero
 _GOLDEN = 0.6180339887498949  # its multiples fill the unit interval evenly
@@ -108,9 +107,9 @@ def _faintest(lights, begin, end, places, g_max, out):
 
 
 @inlined
-def _asks(places, light, least, lights, m, n, k):
-    """The point whose ray to light m, of cluster k, tells point n, too: n itself unless it is faint for both, and the other is near."""
-    other = n // SHARERS * SHARERS + k % SHARERS
+def _asked(places, light, least, lights, m, n, k, sharers):
+    """The point whose ray to light m, of cluster k, tells point n, too: n itself unless the light is faint, and the other, which faces it, is near."""
+    other = n // sharers * sharers + k % sharers
     if light[n] >= least[n] or other >= len(light) or not light[other] > _0:
         return n
     position = lights.vpls.position
@@ -122,13 +121,14 @@ def _asks(places, light, least, lights, m, n, k):
 
 
 @kernel
-def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_max, cutouts, seed, visible, seen):
+def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_max, cutouts, sharers, seed, visible, seen):
     """Shadow rays from the points begin..end-1, representatives of clusters, to one light of each cluster light_begin..light_end-1.
 
     A cluster's light is drawn by what it gives to the point, with one number for all points: its visibility is that of the
     cluster's light in the mean, and changes smoothly.  Where no light faces the point, nothing is visible.
     visible: (C, columns) uint8, whose column 0 is light `lights.first[light_begin]`; set to 255 or 0.
     seen: (C, 2) float32; gathers the visible light and all light.
+    sharers: neighbouring points that share rays to faint lights, 1 where each has its own; only of clusters of one light.
     What lets some of the light through is open or closed at random.  Returns the number of rays.
     """
     lane_of, through = np.empty(WIDTH, np.int64), np.ones((WIDTH, 3), np.float32)
@@ -142,7 +142,7 @@ def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_
             places[c, i - begin], places[3 + c, i - begin] = points.position[i, c], points.ng[i, c]
     light, member = np.empty(end - begin, np.float32), np.empty(end - begin, np.int64)
     least, asked = np.zeros(end - begin, np.float32), np.arange(end - begin)
-    if len(lights.power) == len(first) - 1:
+    if sharers > 1:
         _faintest(lights, light_begin, light_end, places, g_max, least)
     rays = 0
     for k in range(light_begin, light_end):
@@ -152,7 +152,7 @@ def trace_clusters(scene, points, begin, end, lights, light_begin, light_end, g_
             member[:] = first[k]
             _light_at(lights, first[k], places, g_max, light)
             for n in range(end - begin):
-                asked[n] = _asks(places, light, least, lights, first[k], n, k)
+                asked[n] = _asked(places, light, least, lights, first[k], n, k, sharers)
         else:
             for n in range(end - begin):
                 member[n], light[n] = _drawn_member(

@@ -44,7 +44,7 @@ COARSE = 64
 OUTLIER = 2.0
 BROAD_FUZZINESS = 6
 _TRAINING = 4  # training points a cluster
-_ITERATIONS = 2
+_ITERATIONS = 3
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,7 @@ class FuzzyClustering:
     shade_with: `clusters` shades with one representative of each VPL cluster, which has the cluster's flux (Eq. 6);
         `vpls` with every VPL, clusters giving only visibility.
     compensation: gather rays a point cluster that give back the light taken by the clamp (0: none).
+    sharers: neighbouring point clusters that share one shadow ray to a light which gives them little; 1 for a ray each.  Only where `clusters` shade.
     cache: what is known of the light that surfaces send, where their paths may end.
 
     `prepare` does the work on the lights, `irradiance` that on the view: other views of the same VPLs cost no work on lights.
@@ -95,6 +96,7 @@ class FuzzyClustering:
         weighting: str = "smooth",
         shade_with: str = "clusters",
         compensation: int = 8,
+        sharers: int = 1,
         cache: LightCache | None = None,
         bounces: int = 4,
         seed: int = 0,
@@ -108,6 +110,7 @@ class FuzzyClustering:
         self.weighting = weighting
         self.shade_with = shade_with
         self.compensation = compensation
+        self.sharers = sharers
         self.cache = no_cache() if cache is None else cache
         self.bounces = bounces
         self.seed = seed
@@ -174,6 +177,7 @@ class FuzzyClustering:
                     end,
                     self.g_max,
                     cutouts,
+                    self.sharers if self.shade_with == "clusters" else 1,
                     np.uint32(self.seed),
                     visible,
                     view.seen,

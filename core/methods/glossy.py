@@ -460,9 +460,20 @@ def lamps_by_rays(scene: Transport, points: ShadingPoints) -> np.ndarray:
     return backs
 
 
-def _add(out: np.ndarray, owner: np.ndarray, radiance: np.ndarray) -> None:
-    for c in range(out.shape[1]):
-        out[:, c] += np.bincount(owner, radiance[:, c], len(out))
+@kernel
+def _add(out, owner, radiance):
+    """Adds radiance (M, D) to the rows owner (M,), in order, of out (N, D)."""
+    sums = np.empty(out.shape[1])
+    i = 0
+    while i < len(owner):
+        k = owner[i]
+        sums[:] = 0.0
+        while i < len(owner) and owner[i] == k:
+            for c in range(len(sums)):
+                sums[c] += radiance[i, c]
+            i += 1
+        for c in range(len(sums)):
+            out[k, c] = np.float32(np.float64(out[k, c]) + sums[c])
 
 
 class Reflections(NamedTuple):

@@ -83,6 +83,11 @@ WIDEST = np.float32(0.5)  # half width, as a tangent: beyond it a pixel shows mo
 LEAST_MEMBERS = 4  # samples of a surface that tell how its normals are spread
 FLAT = np.float32(1e-9)  # squared distance of shading and geometric normal, at most, of a flat face
 REFLECTING, COAT_POINTS, TRANSLUCENT_POINTS, FROSTED_POINTS = 0, 1, 2, 3  # kinds of shading points, in the order in which they are made
+FEW_TILES, MANY_TILES, FEW = (
+    128,
+    512,
+    8,
+)  # tiles a chunk, the more where a pixel has few samples: room for all that they may show is made first
 MANY = 2 * 4  # samples a pixel, from which on a quick look at its edges has as many as any other
 EVEN = 4  # samples a pixel: fewer tell too little of what varies, and every pixel has the same
 
@@ -475,7 +480,7 @@ def view(
     layers = np.zeros((height * width, EMITTED + 3 * GLASS * len(groups.names)), np.float32)
     tiles = (-(-x1 // TILE) - x0 // TILE) * (-(-y1 // TILE) - y0 // TILE)
     least, most = sample_counts(samples, quick)
-    chunk = 128
+    chunk = FEW_TILES if most > FEW else MANY_TILES
     g = scene.geometry
     geometry = _Geometry(
         g.vertices,

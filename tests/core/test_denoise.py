@@ -440,6 +440,23 @@ def test_sharp_shadows_do_not_go_with_the_noise_of_other_lamps(denoiser):
     assert whole.blend(apart).sharp is None and (apart.blend(apart).sharp == stripes).all()
 
 
+def test_what_is_noisy_on_a_few_pixels_is_denoised_there(denoiser, monkeypatch):
+    shape = (96, 128, 3)
+    none, one = np.zeros(shape, np.float32), np.ones(shape, np.float32)
+    up = np.broadcast_to(np.array([0, 0, 1], np.float32), shape)
+    spot = none.copy()
+    spot[40:50, 60:70] = np.random.default_rng(1).gamma(0.5, 2, (10, 10, 1))
+    seen = []
+    monkeypatch.setattr(denoiser, "denoise", lambda image, *a, real=denoiser.denoise, **k: seen.append(image.shape) or real(image, *a, **k))
+    light = (
+        Picture(none, one + spot, none, one, none, up, one, up, one, none, none[..., 0], smooth=one).denoised(denoiser, 2).diffuse_indirect
+    )
+    assert [rows * columns < 96 * 128 / 4 for rows, columns, _ in seen] == [True]
+    assert (light[:20] == 1).all() and (light[:, :30] == 1).all()
+    assert light.mean() == pytest.approx((one + spot).mean(), rel=1e-4)
+    assert 0 < light[40:50, 60:70].std() < 0.8 * spot[40:50, 60:70].std()
+
+
 def sunlit(share, rays, seed=0):
     """A picture of a plain under a sun that `share` (H, W) of each pixel sees, as so many rays to it tell."""
     lit = np.random.default_rng(seed).binomial(rays, share) / rays

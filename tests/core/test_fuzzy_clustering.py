@@ -119,6 +119,32 @@ def test_every_vpl_shades_with_the_visibility_of_its_cluster(room):
     assert errors["vpls"] < 0.06 and errors["clusters"] < 0.12
 
 
+def test_neighbours_share_the_rays_to_faint_lights(room):
+    points, vpls = floor_points(3000), ceiling_vpls(300)
+    vpls.flux[40:] *= 0.02  # faint beside the others
+    results = []
+    for sharers in (1, 8):
+        solver = FuzzyClustering(vpl_clusters=10_000, point_clusters=800, compensation=0, sharers=sharers)
+        solver.prepare(room, vpls, points)
+        results.append((solver.irradiance(points), solver.view.seen.copy(), solver.rays))
+    (each, each_seen, most), (shared, shared_seen, rays) = results
+    assert rays < 0.4 * most
+    assert np.abs(shared - each).max() < 0.1 * each.mean() and np.abs(shared - each).mean() < 0.01 * each.mean()
+    assert shared.mean() == pytest.approx(each.mean(), rel=0.002)
+    assert np.allclose(shared_seen[:, 1], each_seen[:, 1], rtol=1e-4)  # the light of all lights that face a cluster
+    assert shared_seen[:, 0].sum() == pytest.approx(each_seen[:, 0].sum(), rel=0.002)
+
+
+def test_only_single_lights_are_shared(room):
+    points, vpls = floor_points(500), ceiling_vpls(200)
+    results = []
+    for sharers in (1, 8):
+        solver = FuzzyClustering(vpl_clusters=40, point_clusters=100, shade_with="vpls", compensation=0, sharers=sharers)
+        solver.prepare(room, vpls, points)
+        results.append(solver.irradiance(points))
+    assert np.array_equal(*results)
+
+
 def test_fuzziness_softens_the_borders_of_clusters(room):
     x = np.linspace(-1.9, 1.9, 4000)
     points = floor_points(4000)
@@ -226,8 +252,10 @@ def test_same_bits_for_any_number_of_threads(sphere):
         RenderSettings(method="fuzzy-clustering", vpls=128, pixel_samples=4, threads=t, seed=7, vpl_clusters=40, point_clusters=300)
         for t in (1, 3)
     ]
-    a, b = (render(sphere, s).layers for s in settings)
-    assert all(np.array_equal(a[name], b[name]) for name in a)
+    a, b = (render(sphere, s) for s in settings)
+    assert all(np.array_equal(a.layers[name], b.layers[name]) for name in a.layers)
+    for counted in ("rays", "vpls", "pairs_shaded", "skipped", "savings", "warnings"):
+        assert a.stats[counted] == b.stats[counted]
 
 
 def test_debug_layers_show_the_clusters(sphere):
