@@ -51,7 +51,7 @@ Here, Aside = TypeVar("Here"), TypeVar("Aside")
 
 AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "virtual-area-lights", "visibility-gates", "importance-sampling")
 TURN = 32452843  # between the seeds of a sequence's turns
-FEW_BATCHES = 2  # of particles, for lights that are clustered: more of them cost time and leave the picture as it is
+FEW_BATCHES = 4  # of particles, for lights that are clustered: more of them cost time and leave the picture as it is
 CLUSTER_GATHER = 2  # gather rays of a cluster, for each that a point would get: its many points share what they find
 SHARERS = 8  # neighbouring clusters that share a shadow ray to a light which gives them little
 SMALL_CACHE = 0.25  # times the paths of the accurate method's smallest cache of light are a preview's
