@@ -47,7 +47,7 @@ from .sharp import sharp_emitters
 from .tables import AXIS_Z, CASTS_SHADOW, GLOSSY_ONLY, ONE_MINUS_COS, SEEN_BY_GLOSSY, SHARP, TRIANGLE, WORLD
 from .tree import CUT, choose, cut_estimate, cut_for, descend, importance, importance_around
 from .world import world_density, world_radiance
-from .world_guide import NEAR, aim, draw, expect, forget, look_around, new_world_guide, own_density, remember
+from .world_guide import NEAR, aim, draw, expect, forget, keep_in_mind, look_around, new_world_guide, own_density, remember
 
 CHUNK = 4096  # points a chunk
 _BLOCK, _BLOCK_RAYS = 1024, 8192  # points whose rays are traced together, lamp by lamp, and the most of these rays, nearly
@@ -55,6 +55,7 @@ _GUIDED = np.uint32(0x6D1D)
 # One point of so many sends at most so many rays ahead, which tell what lamps of the tree are seen from there: 1/32 of all rays.  So many are traced at once.
 _PILOT_STEP, _PILOTS_A_POINT, _PILOTS = 16, 8, 256
 _FORGOTTEN = np.float32(0.5)  # of what the blocks before have told
+_SEES_WORLD = 1  # escaped gather rays of a point, on average, that tell enough of where the world is seen
 _LEAST_LEARNT = 512  # points of a chunk, for which that is worth it
 _MOST_NODES = 1 << 12  # of the tree, all of which are looked at for each block
 _PILOT = np.uint32(0x9107)
@@ -954,6 +955,27 @@ def _collect(rays, n, start, guide, out, glossy, apart, unshadowed):
                 glossy[i, c + channel + half] += (_1 - clear) * shine
 
 
+@leaf
+def _looks_ahead(scene, points, begin, middle, end):
+    """Whether gather rays of the points begin..middle-1 have found too little of the world, and those up to `end` may tell more."""
+    world = False
+    for g in range(len(scene.emitters.groups)):
+        world = world or _is_world(scene.emitters, g)
+    if not world:
+        return False
+    escaped = 0
+    for i in range(begin, min(middle, end)):
+        for s in range(points.gathered[i]):
+            escaped += points.met[i, s] & ESCAPED != 0
+    if escaped >= _SEES_WORLD * (middle - begin):
+        return False
+    for i in range(middle, end):
+        for s in range(points.gathered[i]):
+            if points.met[i, s] & (ESCAPED | VEILED):
+                return True
+    return False
+
+
 @kernel
 def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, out, glossy, apart, unshadowed):
     """Direct irradiance of the points begin..end-1 into `out`, what their lobes reflect into `glossy` -> number of rays.
@@ -970,10 +992,24 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
     rays, later = _new_rays(block_size * (samples + gather)), _new_rays(block_size * samples)
     block = _new_block(block_size, groups)
     guide = new_world_guide(block_size, samples + gather)
+    ahead = begin + block_size
+    if _looks_ahead(scene, points, begin, ahead, min(ahead + block_size, end)):
+        size = min(block_size, end - ahead)
+        for k in range(size):
+            _prepare(scene, scene.emitters.tree.nodes, points, ahead + k, k, samples, reflections, seed, first, spare, block)
+            for g in range(groups):
+                if not _is_world(scene.emitters, g):
+                    block.count[k, g] = 0
+        n = _aim(scene, scene.emitters.tree.nodes, points, ahead, size, block, seed, first, rows, surface, rays)
+        ahead_rays = _trace(scene, packet, rows, surface, points, ahead, rays, n)
+        _learn(scene, points, ahead, size, block, rays, n, guide)
+        keep_in_mind(guide, size)
+    else:
+        ahead_rays = 0
     out[begin:end] = _0
     if len(glossy) > 0:
         glossy[begin:end] = _0
-    n_rays = np.int64(0)
+    n_rays = np.int64(ahead_rays)
     tree = scene.emitters.tree
     nodes = tree.nodes
     learns = False
@@ -1002,6 +1038,9 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
         if guided:
             _learn(scene, points, start, size, block, rays, n, guide)
             n_later = _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, surface, later)
+            if start == begin:  # it counts for itself
+                guide.before[:] = _0
+            keep_in_mind(guide, size)
         # Not before the later ones are aimed, which tell what share the first have.
         _collect(rays, n, start, guide, out, glossy, apart, unshadowed)
         n_rays += _trace(scene, packet, rows, surface, points, start, later, n_later)

@@ -4,7 +4,8 @@ Through windows, between columns and under eaves a point sees little of the sky,
 the cosine end at a wall.  So half of the rays to the world are aimed at where the first half of all neighbours' rays
 have found it, which costs no ray of its own; both halves are combined by the balance heuristic (Veach 1997, Section 9.2),
 so that what the neighbours have missed is found as before.  A point's own rays have no say in where its later ones go, or
-these would be right in the mean only together with all others.  (Path guiding by directional histograms: Jensen 1995,
+these would be right in the mean only together with all others.  Where neighbours have found next to nothing, as of a small window, their few finds are no
+density (next to the cell that one of them lies in others see the window in another); so what all that went before have found counts by as much as is lacking.  (Path guiding by directional histograms: Jensen 1995,
 "Importance driven path tracing using the photon map".)
 """
 
@@ -22,6 +23,9 @@ _REACH = 4  # of these rows, how many to either side count as neighbours
 _ROWS, _COLUMNS = 8, 16
 CELLS = _ROWS * _COLUMNS  # of the sphere of directions, all of one size
 LOW = np.float32(0.1)  # cosines below it count as this: a cell is seen under many
+SENT, FINDS = CELLS, CELLS + 1  # columns after the cells
+_TOLD = np.float32(32.0)  # so many finds of the neighbours count as much as what has been found before
+_MOST_FINDS = np.float32(8.0)  # of a row, that count for others
 _OPEN = np.float32(0.5)  # where more of the world than this is open, nothing is gained
 _NOTHING = np.float32(1e-5)  # less than this is the rounding error of taking a point's own light out
 _PER_AREA = np.float32(CELLS / (4 * math.pi))
@@ -35,8 +39,9 @@ _SPHERICAL = np.float32(6.0)  # an even sky, all channels, without the cosine, o
 class WorldGuide(NamedTuple):
     """What B points have found of the world by T samples each.
 
-    seen, around: (B / NEAR, CELLS + 1) float32, light that the points of a row have found in each cell, and about all that they would have found
-        if nothing stood in the way; and the same of the row's neighbours.
+    seen, around: (B / NEAR, CELLS + 2) float32, light that the points of a row have found in each cell, about all that they would have found
+        if nothing stood in the way, and how many samples have found some; and the same of the row's neighbours.
+    before: (CELLS + 2,) float32, the same of all points that went before.
     sent: (B,) float32, about what one point would have found.
     cell: (B, T) int32, of a sample, -1 where nothing arrives.  light: (B, T) float32, what it has added to `seen`.
     density, cosine: (B, T) float32, with which it was or might have been drawn from the world (per sr), and its cosine.
@@ -47,6 +52,7 @@ class WorldGuide(NamedTuple):
 
     seen: np.ndarray
     around: np.ndarray
+    before: np.ndarray
     sent: np.ndarray
     cell: np.ndarray
     light: np.ndarray
@@ -62,7 +68,7 @@ def new_world_guide(points, samples):
     """Room for so many points and samples."""
     f, rows = np.float32, (points + NEAR - 1) // NEAR
     return WorldGuide(
-        np.empty((rows, CELLS + 1), f), np.empty((rows, CELLS + 1), f), np.empty(points, f),
+        np.empty((rows, CELLS + 2), f), np.empty((rows, CELLS + 2), f), np.zeros(CELLS + 2, f), np.empty(points, f),
         np.empty((points, samples), np.int32), np.empty((points, samples), f), np.empty((points, samples), f), np.empty((points, samples), f),
         np.ones((points, samples), f), np.ones((points, samples), f), np.empty(CELLS, f),
     )  # fmt: skip
@@ -108,7 +114,7 @@ def forget(guide):
 def expect(guide, k, irradiance):
     """The world gives point k about this (mean of the channels) where nothing stands in its way."""
     guide.sent[k] = _SPHERICAL * irradiance
-    guide.seen[k // NEAR, CELLS] += guide.sent[k]
+    guide.seen[k // NEAR, SENT] += guide.sent[k]
 
 
 @leaf
@@ -124,6 +130,7 @@ def remember(guide, k, turn, dx, dy, dz, light, density, cosine, first, gathered
     light /= np.float32(first) * density + np.float32(gathered) * _INV_PI * max(cosine, LOW)
     guide.cell[k, turn], guide.light[k, turn], guide.density[k, turn], guide.cosine[k, turn] = cell, light, density, cosine
     guide.seen[k // NEAR, cell] += light
+    guide.seen[k // NEAR, FINDS] += _1
 
 
 @inlined
@@ -139,31 +146,50 @@ def look_around(guide, points):
     for row in range(rows):
         guide.around[row, :] = _0
         for other in range(max(0, row - _REACH), min(row + _REACH + 1, rows)):
-            for cell in range(CELLS + 1):
-                guide.around[row, cell] += guide.seen[other, cell]
+            for column in range(CELLS + 2):
+                guide.around[row, column] += guide.seen[other, column]
+
+
+@leaf
+def keep_in_mind(guide, points):
+    """After the last use of the first so many points: what they have seen is what went before others.
+
+    Rows in and at a window see most of it, but in other directions than those that know too little of it: what many finds tell counts as that of a few.
+    """
+    for row in range((points + NEAR - 1) // NEAR):
+        part = min(_1, _MOST_FINDS / max(guide.seen[row, FINDS], _1))
+        for column in range(CELLS + 2):
+            guide.before[column] += part * guide.seen[row, column]
 
 
 @leaf
 def aim(guide, k, sx, sy, sz, first, later, number, gathered):
-    """Get ready to draw for point k, normal s; whether its neighbours have found any light, but not most of what there is.
+    """Get ready to draw for point k, normal s; whether its neighbours, or those before, have found any light, but not most of what there is.
 
     first, later: how many shadow rays it has and will get, `number` of them on average.  gathered: gather rays, which lie after the first.
     `share` and `shine` are set for what it has.
     """
     cdf = guide.cdf
     row = k // NEAR
+    finds = guide.around[row, FINDS]
     for cell in range(CELLS):
         cdf[cell] = guide.around[row, cell]
     for s in range(first + gathered):
         if guide.cell[k, s] >= 0:
             cdf[guide.cell[k, s]] -= guide.light[k, s]
+            finds -= _1
+    sent = guide.around[row, SENT] - guide.sent[k]
+    own, others = _1, _0
+    if guide.before[FINDS] > _0:
+        own = finds / (finds + _TOLD)
+        others = (_1 - own) * sent / guide.before[SENT]
     total = found = _0
     for cell in range(CELLS):
-        found += max(_0, cdf[cell])
+        light = own * max(_0, cdf[cell]) + others * guide.before[cell]
+        found += light
         cosine = sx * _MIDDLES[0, cell] + sy * _MIDDLES[1, cell] + sz * _MIDDLES[2, cell]
-        total += max(_0, cdf[cell]) * max(cosine, LOW)
+        total += light * max(cosine, LOW)
         cdf[cell] = total
-    sent = guide.around[row, CELLS] - guide.sent[k]
     guided = later > 0 and total > _0 and found >= _NOTHING * sent and found <= _OPEN * sent
     for s in range(first + gathered):
         if guide.cell[k, s] < 0:
