@@ -49,6 +49,7 @@ from ..surfaces.layout import (
     ROUGHNESS,
     SURFACE,
     TILT,
+    as_if_whole,
     diffuse_albedo,
     glossy_albedo,
     take_lobe,
@@ -253,7 +254,7 @@ def _reflect_chunk(
                 )  # fmt: skip
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
             # What wide lobes find straight rays find, too: both must go the same way.
-            triangle, u, v, t, tr, tg, tb, unbroken, inside, by_lens, ex, ey, ez, n_parts = nearest_reflected(
+            triangle, u, v, t, tr, tg, tb, unbroken, inside, brighter, by_lens, ex, ey, ez, n_parts = nearest_reflected(
                 scene, packet, rows, surface, not wide, lit[i] == WHOLE, ox, oy, oz, dx, dy, dz, key, index, 0, entered, parts
             )
             if lit[i] and not (wide or aside):
@@ -284,6 +285,8 @@ def _reflect_chunk(
                 if flags & REFRACTIVE and behind and inside == OUTSIDE:
                     view = from_within(view)
                 evaluate(scene.materials, material, scene.attributes, triangle, u, v, view, rows, surface)
+                if brighter != _1:
+                    as_if_whole(surface, brighter)
             if flags & NORMAL_MAPPED:
                 nx, ny, nz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
             if behind:

@@ -10,10 +10,10 @@ from ..jit import leaf
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.trace import ALL, intersect1
 from ..sampling.hashing import uniform
-from ..scene import GLOSSY, REFRACTIVE, TRANSPARENT
+from ..scene import ANGLED, GLOSSY, REFRACTIVE, TRANSPARENT
 from .arithmetic import normalized
 from .frosted import seen_through
-from .layout import BEND, FROST, REFRACTION, TRANSPARENCY, largest_kept
+from .layout import BEND, FROST, REFRACTION, TRANSPARENCY, as_if_whole, largest_kept
 from .lobes import sample_lobe, set_lobe
 from .normals import mapped_normal, sees_back, shading_normal
 from .visibility import MAX_PASSED, OUTSIDE, STRAIGHT_ON, begins_in, bends_most, evaluate_along, is_lens, is_sheet, passed_glass
@@ -75,7 +75,7 @@ def nearest_reflected(scene, packet, rows, surface, bends, whole, ox, oy, oz, dx
 
     parts: (PARTS, PART) float32, where what lies between two surfaces is written, beyond lenses and sheets, or all of it if `whole`.  Of what shines there and hides
     nothing all must be counted, by the weight of the way so far: whether the way ends or passes at the next surface has no say in it.
-    Returns what that does, t being the length of the whole way (m), and then whether a lens is on it, beyond which no shadow ray finds anything (2), or a sheet,
+    Returns what that does, t being the length of the whole way (m), and then by how much the surface is brighter that was made `as_if_whole` (1: it was not), whether a lens is on it, beyond which no shadow ray finds anything (2), or a sheet,
     beyond which none finds lamps (1; 0 for neither), the direction of its last part, and the number of parts.  Bent by Snell's law, as `bent` has it; frosted glass
     is passed straight.
     """
@@ -97,7 +97,7 @@ def nearest_reflected(scene, packet, rows, surface, bends, whole, ox, oy, oz, dx
             part[WEIGHT], part[WEIGHT + 1], part[WEIGHT + 2] = r, g, b
             n_parts += 1
         if triangle < 0:
-            return -1, _0, _0, np.float32(np.inf), r, g, b, clear, entered, turned, ex, ey, ez, n_parts
+            return -1, _0, _0, np.float32(np.inf), r, g, b, clear, entered, _1, turned, ex, ey, ez, n_parts
         evaluate_along(scene, triangle, u, v, ex, ey, ez, GLOSSY, entered, rows, surface)
         flags = scene.materials.flags[scene.material[triangle]]
         behind = flags & REFRACTIVE != 0 and sees_back(scene.vertices, scene.triangles, triangle, ex, ey, ez)
@@ -107,8 +107,11 @@ def nearest_reflected(scene, packet, rows, surface, bends, whole, ox, oy, oz, dx
             through = max(surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2])
             chance = through / (through + largest_kept(surface)) if through > _0 else _0
         if uniform(seed, path, dimension, layer) >= chance:
-            rest = _1 / (_1 - chance)
-            return triangle, u, v, before + t, r * rest, g * rest, b * rest, clear, within, turned, ex, ey, ez, n_parts
+            rest, brighter = _1 / (_1 - chance), _1
+            if flags & TRANSPARENT and not flags & (REFRACTIVE | ANGLED):
+                as_if_whole(surface, rest)
+                rest, brighter = brighter, rest
+            return triangle, u, v, before + t, r * rest, g * rest, b * rest, clear, within, brighter, turned, ex, ey, ez, n_parts
         tr, tg, tb = surface[TRANSPARENCY], surface[TRANSPARENCY + 1], surface[TRANSPARENCY + 2]
         r, g, b = r * tr / chance, g * tg / chance, b * tb / chance
         start = t + np.float32(1e-5) * abs(t)
@@ -132,4 +135,4 @@ def nearest_reflected(scene, packet, rows, surface, bends, whole, ox, oy, oz, dx
             before, start = before + t, _0
         else:
             entered = passed_glass(entered, behind)
-    return -1, _0, _0, np.float32(np.inf), _0, _0, _0, clear, entered, np.int64(0), ex, ey, ez, n_parts
+    return -1, _0, _0, np.float32(np.inf), _0, _0, _0, clear, entered, _1, np.int64(0), ex, ey, ez, n_parts

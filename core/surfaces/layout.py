@@ -129,6 +129,24 @@ def glossy_albedo(surface, cosine):
 
 
 @leaf
+def as_if_whole(surface, rest):
+    """Makes up on a surface itself, not by the weight of a path that ends there, for the paths that have passed it: all that it sends is `rest` times as much.
+
+    The rim of a leaf's picture keeps next to nothing, and the few paths that end there weighed thousands of times as much: fair to the rim, but the cache of light
+    multiplies that weight by what a whole cell sends, leaf and rim.  Of a surface so brightened, by the `passing_chance`, none sends more than it gets.
+    """
+    for c in range(3):
+        surface[DIFFUSE + c] *= rest
+        surface[LAYERED + c] *= rest
+        surface[TRANSLUCENCY + c] *= rest
+        surface[SHEEN + c] *= rest
+        surface[EMISSION + c] *= rest
+        surface[GLOSSY_F0 + c] *= rest
+        surface[GLOSSY_F90 + c] *= rest
+        surface[COAT + c] *= rest
+
+
+@leaf
 def take_lobe(surface):
     """Leaves of a surface what its glossy lobes reflect."""
     for c in range(3):
@@ -161,7 +179,7 @@ def bare(surface):
 def passing_chance(surface, angled):
     """With what probability a path that samples one of both had better go straight through a surface than end there.
 
-    Any other than 0 is right with the weights transparency / chance and 1 / (1 - chance); this one lets tinted glass,
+    Any other than 0 is right with the weights transparency / chance and 1 / (1 - chance) (but see `as_if_whole`); this one lets tinted glass,
     which keeps nothing that could be seen, pass always.  Other glass is met as often as passed: were the few paths that it keeps given
     large weights, the cache, which knows means alone, would carry too much.  So are `angled` surfaces, of which it would else know those
     views alone that see much kept.

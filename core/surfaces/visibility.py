@@ -19,7 +19,7 @@ from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_
 from ..rays.trace import ALL, COHERENT, CUTOUT, OPAQUE, intersect1, occluded_packet
 from ..sampling.hashing import uniform
 from ..scene import ANGLED, DIFFUSE, GLOSSY, REFRACTIVE, TRANSPARENT
-from .layout import BEND, FROST, REFRACTION, TRANSPARENCY, passing_chance
+from .layout import BEND, FROST, REFRACTION, TRANSPARENCY, as_if_whole, passing_chance
 from .normals import sees_back, shading_normal
 from .program import MEAN_VIEW, evaluate, from_within, reflected_view, specular_view
 
@@ -210,7 +210,7 @@ def shadow_packet(scene, packet, rows, surface, count, kinds, cutouts, transmitt
 
 @leaf
 def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach, kinds, seed, path, dimension, entered):
-    """The nearest surface along a ray that does not let it through, its material evaluated into `surface`.
+    """The nearest surface along a ray that does not let it through, its material evaluated into `surface` (`as_if_whole`, where it lets others through).
 
     entered: solids of glass that the path has entered before.
     Returns (triangle or -1, u, v, t, r, g, b, clear, entered): (r, g, b) weighs what is seen, or what lies beyond all surfaces, for
@@ -231,6 +231,9 @@ def nearest_surface(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, reach,
         chance = passing_chance(surface, flags & ANGLED != 0)
         if uniform(seed, path, dimension, layer) >= chance:
             rest = _1 / (_1 - chance)
+            if not flags & (REFRACTIVE | ANGLED):
+                as_if_whole(surface, rest)
+                rest = _1
             return triangle, u, v, t, r * rest, g * rest, b * rest, clear, within
         refracted = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
         if refracted > _0:

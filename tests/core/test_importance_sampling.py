@@ -513,6 +513,24 @@ def test_lobes_begin_some_of_the_paths_that_fill_the_cache(build):
     assert dull + 0.05 < varnished < metal
 
 
+@pytest.mark.parametrize("opacity", [1e-3, 0.02])
+def test_no_path_of_the_cache_ends_on_the_rim_of_a_leaf_with_a_large_weight(build, opacity):
+    """Beside it the cell knows leaves that shine: a weight of a thousand, times what these send, was sent on from bounce to bounce."""
+    floor_ceiling_and_card = [[(-9, -9, z), (9, -9, z), (9, 9, z), (-9, 9, z)] for z in (0, 2, 1)]
+    geometry = build.geometry(*build.quads(*floor_ceiling_and_card), [0, 0, 0, 0, 1, 1])
+    materials = build.materials((0.5, 0.0), (0.5 * opacity, 0.0))
+    materials.tables.constant[1, TRANSPARENCY : TRANSPARENCY + 3] = 1 - opacity
+    materials.tables.flags[1] |= sc.TRANSPARENT
+    scene = build.scene(geometry, materials, lamps=build.lamp(sc.POINT, 1.0, (0, 0, 1.5)))
+    with RayScene(geometry.vertices, geometry.triangles, None, geometry.material > 0) as rays:
+        tables = transport(geometry, materials.tables, rays.tables, build_emitters(scene))
+        probes, _ = trace_probes(tables, points_at([(0.1, 0, 0.5), (-0.1, 0, 0.5)], (0, 0, 1)), 20000, seed=1)
+    linked = probes.link > 0
+    assert np.count_nonzero(linked) > 1000
+    assert probes.carry[linked].max() <= 1  # before, up to 1000
+    assert probes.albedo.max() <= 1
+
+
 def boxed(low, high):
     """The six faces of a box, seen from inside."""
     corners = [tuple((low, high)[bit][axis] for axis, bit in enumerate(bits)) for bits in np.ndindex(2, 2, 2)]
