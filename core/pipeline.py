@@ -344,7 +344,6 @@ def _look(run: Run, scene: Scene, tables: Transport, settings: RenderSettings, t
                 run.groups,
                 settings.film,
                 covered_places(run.black, len(scene.geometry.triangles)),
-                quick=settings.smooth,
             )
 
         seen = run.sequence.view(scene, settings, look) if run.sequence else look()

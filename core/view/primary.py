@@ -83,12 +83,6 @@ WIDEST = np.float32(0.5)  # half width, as a tangent: beyond it a pixel shows mo
 LEAST_MEMBERS = 4  # samples of a surface that tell how its normals are spread
 FLAT = np.float32(1e-9)  # squared distance of shading and geometric normal, at most, of a flat face
 REFLECTING, COAT_POINTS, TRANSLUCENT_POINTS, FROSTED_POINTS = 0, 1, 2, 3  # kinds of shading points, in the order in which they are made
-FEW_TILES, MANY_TILES, FEW = (
-    128,
-    512,
-    8,
-)  # tiles a chunk, the more where a pixel has few samples: room for all that they may show is made first
-MANY = 2 * 4  # samples a pixel, from which on a quick look at its edges has as many as any other
 EVEN = 4  # samples a pixel: fewer tell too little of what varies, and every pixel has the same
 
 
@@ -159,11 +153,9 @@ class View:
         return self.emitted[:, 2].sum(axis=0)
 
 
-def sample_counts(samples: int, quick: bool = False) -> tuple[int, int]:
-    """Fewest and most samples of a pixel where `samples` are meant, or, for a quick look, at most so few."""
-    if samples < EVEN:
-        return samples, samples
-    return (samples + 1) // 2, samples if quick and samples < MANY else 2 * samples
+def sample_counts(samples: int) -> tuple[int, int]:
+    """Fewest and most samples of a pixel where `samples` are meant."""
+    return (samples, samples) if samples < EVEN else ((samples + 1) // 2, 2 * samples)
 
 
 @leaf
@@ -466,12 +458,12 @@ def _view_tiles(
 
 def view(
     scene: Scene, rays, world, samples: int, seed: int, threads: int = 0, progress: Progress | None = None,
-    groups: LightGroups | None = None, film: Film = SQUARE, covered: CoveredPlaces | None = None, *, quick: bool = False,
+    groups: LightGroups | None = None, film: Film = SQUARE, covered: CoveredPlaces | None = None,
 ) -> View:  # fmt: skip
     """Trace about `samples` primary rays a pixel of the camera's border; `rays` and `world` are the tables of those rooms.
 
     groups: the light groups to tell apart, None for none.  film: how the samples lie in a pixel, and whether they see the world.
-    covered: what is black because other triangles cover it, None for nothing.  quick: as of `sample_counts`.
+    covered: what is black because other triangles cover it, None for nothing.
     """
     groups = LightGroups.one(scene) if groups is None else groups
     camera = camera_tables(scene.camera)
@@ -479,8 +471,8 @@ def view(
     height, width = y1 - y0, x1 - x0
     layers = np.zeros((height * width, EMITTED + 3 * GLASS * len(groups.names)), np.float32)
     tiles = (-(-x1 // TILE) - x0 // TILE) * (-(-y1 // TILE) - y0 // TILE)
-    least, most = sample_counts(samples, quick)
-    chunk = FEW_TILES if most > FEW else MANY_TILES
+    least, most = sample_counts(samples)
+    chunk = 128
     g = scene.geometry
     geometry = _Geometry(
         g.vertices,

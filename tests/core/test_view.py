@@ -10,7 +10,7 @@ from lumigate.core.lamps import world_tables
 from lumigate.core.picture import denoising_guides
 from lumigate.core.rays import RayScene
 from lumigate.core.surfaces.layout import EMISSION, GLOSSY_F0, GLOSSY_F90, REFRACTION, TRANSPARENCY
-from lumigate.core.view.primary import sample_counts, view
+from lumigate.core.view.primary import view
 from lumigate.headless.stress.arrays import camera, geometry, materials, quads, scene
 
 
@@ -20,12 +20,6 @@ def seen(s, samples=16, seed=1, threads=0):
     transparent = (s.materials.tables.flags[g.material] & sc.TRANSPARENT) != 0
     with RayScene(g.vertices, g.triangles, g.object_visibility[g.object], transparent) as rays:
         return view(s, rays.tables, world_tables(s.world), samples, seed, threads)
-
-
-def test_a_quick_look_takes_no_more_samples_at_an_edge_than_asked_for():
-    assert sample_counts(4) == (2, 8) and sample_counts(4, quick=True) == (2, 4)
-    for samples in (1, 3, 8, 64):
-        assert sample_counts(samples, quick=True) == sample_counts(samples)
 
 
 def test_a_surface_is_lit_wherever_its_pixel_shows_it():
