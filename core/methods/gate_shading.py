@@ -9,7 +9,7 @@ import numpy as np
 
 from ..jit import inlined, kernel
 from ..topology.gates import CELLS, SIDES
-from ..topology.lines import free_line_of_bits
+from ..topology.lines import free_line
 from .gate_lists import ENTERING, LANES, LEAVING, LINES, NO_GATE, NUMBER, PLACES, POINTS, place_of
 
 # How far it is believed, beside lines of voxels, that a visibility cluster sees itself, and that a line through polygons is free.
@@ -146,7 +146,7 @@ def _free(lines, light, r, q):
     place = lines.places[r, q]
     if light[0] < 0 or place[0] < 0:
         return True
-    return free_line_of_bits(lines.empty, light[0], light[1], light[2], place[0], place[1], place[2])
+    return free_line(lines.empty, light[0], light[1], light[2], place[0], place[1], place[2])
 
 
 @kernel

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import kernel
+from .bits import pack
 from .lines import free_line
 from .nearest import SOLID, empty_voxel
 
@@ -39,10 +40,10 @@ def whole(cluster: np.ndarray) -> Shares:
 
 
 @kernel
-def _look_around(node_of, cluster_of, low, scale, points, normals, radius, disk, found, share):
+def _look_around(node_of, empty, cluster_of, low, scale, points, normals, radius, disk, found, share):
     """Clusters (N, MOST) int32 of the places of `disk` around each point and their shares (N, MOST) float32.
 
-    points, normals: (N, 3) (m).  low, scale: corner of the grid (m) and voxels per metre.  radius: of the disk, in voxels.
+    empty: bits of the voxels that have a node.  points, normals: (N, 3) (m).  low, scale: corner of the grid (m) and voxels per metre.  radius: of the disk, in voxels.
     """
     nz, ny, nx = node_of.shape
     for p in range(len(points)):
@@ -68,7 +69,7 @@ def _look_around(node_of, cluster_of, low, scale, points, normals, radius, disk,
             ci, cj, ck = np.int64(np.floor(fx)), np.int64(np.floor(fy)), np.int64(np.floor(fz))
             if not (0 <= ci < nx and 0 <= cj < ny and 0 <= ck < nz) or node_of[ck, cj, ci] < 0:
                 continue
-            if not free_line(node_of, i, j, k, ci, cj, ck):
+            if not free_line(empty, i, j, k, ci, cj, ck):
                 continue
             c = cluster_of[node_of[ck, cj, ci]]
             for place in range(MOST):
@@ -89,6 +90,6 @@ def shares_around(node_of, cluster, low, scale, points, normals, radius) -> Shar
     node_of: (Z, Y, X) int32, cluster: (K,) int32, as of `Topology`; low, scale: the grid's corner (m) and voxels per metre.
     """
     found, share = np.empty((len(points), MOST), np.int32), np.empty((len(points), MOST), np.float32)
-    _look_around(node_of, cluster, low, scale, points, normals, float(radius), _DISK, found, share)
+    _look_around(node_of, pack(node_of >= 0), cluster, low, scale, points, normals, float(radius), _DISK, found, share)
     item, place = np.nonzero(share > 0)
     return Shares(item, found[item, place], share[item, place])

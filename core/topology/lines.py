@@ -11,6 +11,7 @@ import numpy as np
 
 from ..jit import kernel
 from ..sampling.hashing import uniform
+from .bits import pack
 
 SAMPLES = 512  # surface voxels that stand for a part
 LINES = 256  # between two parts
@@ -75,60 +76,11 @@ def _draw(label, seed, samples, sizes):
 
 
 @kernel
-def free_line(label, x, y, z, u, v, w):
-    """Whether the line between the middles of two voxels meets empty voxels only (Amanatides & Woo 1987)."""
-    ax, ay, az = abs(u - x), abs(v - y), abs(w - z)
-    sx, sy, sz = (1 if u > x else -1), (1 if v > y else -1), (1 if w > z else -1)
-    step_x, step_y, step_z = 1.0 / max(ax, 1e-9), 1.0 / max(ay, 1e-9), 1.0 / max(az, 1e-9)
-    tx, ty, tz = 0.5 * step_x, 0.5 * step_y, 0.5 * step_z
-    for _ in range(ax + ay + az):
-        if tx <= ty and tx <= tz:
-            x += sx
-            tx += step_x
-        elif ty <= tz:
-            y += sy
-            ty += step_y
-        else:
-            z += sz
-            tz += step_z
-        if label[z, y, x] < 0:
-            return False
-    return True
+def free_line(empty, x, y, z, u, v, w):
+    """Whether the line between the middles of two voxels meets empty voxels only (Amanatides & Woo 1987).
 
-
-@kernel
-def _free(label, samples, sizes, pairs, seed, out):
-    """The share of free lines between samples of each pair of clusters (P, 2) that face each other, into `out` (P,); 1 where none do."""
-    for p in range(len(pairs)):
-        a, b = pairs[p, 0], pairs[p, 1]
-        na, nb = min(sizes[a], samples.shape[1]), min(sizes[b], samples.shape[1])
-        tried = free = 0
-        for k in range(4 * LINES):
-            i = min(na - 1, np.int64(uniform(seed, np.uint32(a), np.uint32(b), np.uint32(2 * k)) * np.float32(na)))
-            j = min(nb - 1, np.int64(uniform(seed, np.uint32(a), np.uint32(b), np.uint32(2 * k + 1)) * np.float32(nb)))
-            s, t = samples[a, i], samples[b, j]
-            dx, dy, dz = t[0] - s[0], t[1] - s[1], t[2] - s[2]
-            if (s[3] or s[4] or s[5]) and dx * s[3] + dy * s[4] + dz * s[5] <= 0:
-                continue
-            if (t[3] or t[4] or t[5]) and dx * t[3] + dy * t[4] + dz * t[5] >= 0:
-                continue
-            tried += 1
-            free += free_line(label, s[0], s[1], s[2], t[0], t[1], t[2])
-            if tried == LINES:
-                break
-        out[p] = free / tried if tried else 1.0
-
-
-def samples_of(label: np.ndarray, count: int) -> Samples:
-    """Voxels that stand for each of `count` parts; label: (Z, Y, X) int32, negative in solid voxels."""
-    samples = Samples(np.zeros((count, SAMPLES, 6), np.int32), np.empty(count, np.int64))
-    _draw(label, _SEED, *samples)
-    return samples
-
-
-@kernel
-def free_line_of_bits(empty, x, y, z, u, v, w):
-    """`free_line` in a packed volume (Z, Y, W) uint64 (`bits.pack`), whose bits are set in empty voxels: a 32nd of the memory to walk through."""
+    empty: (Z, Y, W) uint64, the empty voxels in bits (`bits.pack`): little memory to walk through.
+    """
     ax, ay, az = abs(u - x), abs(v - y), abs(w - z)
     sx, sy, sz = (1 if u > x else -1), (1 if v > y else -1), (1 if w > z else -1)
     step_x, step_y, step_z = 1.0 / max(ax, 1e-9), 1.0 / max(ay, 1e-9), 1.0 / max(az, 1e-9)
@@ -148,8 +100,38 @@ def free_line_of_bits(empty, x, y, z, u, v, w):
     return True
 
 
+@kernel
+def _free(empty, samples, sizes, pairs, seed, out):
+    """The share of free lines between samples of each pair of clusters (P, 2) that face each other, into `out` (P,); 1 where none do."""
+    for p in range(len(pairs)):
+        a, b = pairs[p, 0], pairs[p, 1]
+        na, nb = min(sizes[a], samples.shape[1]), min(sizes[b], samples.shape[1])
+        tried = free = 0
+        for k in range(4 * LINES):
+            i = min(na - 1, np.int64(uniform(seed, np.uint32(a), np.uint32(b), np.uint32(2 * k)) * np.float32(na)))
+            j = min(nb - 1, np.int64(uniform(seed, np.uint32(a), np.uint32(b), np.uint32(2 * k + 1)) * np.float32(nb)))
+            s, t = samples[a, i], samples[b, j]
+            dx, dy, dz = t[0] - s[0], t[1] - s[1], t[2] - s[2]
+            if (s[3] or s[4] or s[5]) and dx * s[3] + dy * s[4] + dz * s[5] <= 0:
+                continue
+            if (t[3] or t[4] or t[5]) and dx * t[3] + dy * t[4] + dz * t[5] >= 0:
+                continue
+            tried += 1
+            free += free_line(empty, s[0], s[1], s[2], t[0], t[1], t[2])
+            if tried == LINES:
+                break
+        out[p] = free / tried if tried else 1.0
+
+
+def samples_of(label: np.ndarray, count: int) -> Samples:
+    """Voxels that stand for each of `count` parts; label: (Z, Y, X) int32, negative in solid voxels."""
+    samples = Samples(np.zeros((count, SAMPLES, 6), np.int32), np.empty(count, np.int64))
+    _draw(label, _SEED, *samples)
+    return samples
+
+
 def free_shares(label: np.ndarray, samples: Samples, pairs: np.ndarray) -> np.ndarray:
     """(P,) float64: which share of LINES lines between the parts of each pair (P, 2) is free; 1 where no samples face each other."""
     out = np.empty(len(pairs))
-    _free(label, *samples, np.ascontiguousarray(pairs, np.int64), _SEED, out)
+    _free(pack(label >= 0), *samples, np.ascontiguousarray(pairs, np.int64), _SEED, out)
     return out

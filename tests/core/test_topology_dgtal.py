@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import ndimage
 
 from lumigate.core.topology.cells import closure
 from lumigate.core.topology.distance import distance_map, opening_map
 from lumigate.core.topology.thinning import CURVES, TOPOLOGY, thin
+
+from . import topology_oracle as oracle
 
 dgtal = pytest.importorskip("dgtal", reason="DGtal has no wheel for this machine")
 
@@ -52,18 +53,6 @@ def _to_dgtal(cells, space):
     return complex_
 
 
-def _cells(complex_):
-    return np.stack([complex_.of_type(kind) for kind in range(8)])
-
-
-def _pieces(cells):
-    """Connected components of a complex."""
-    grid = np.zeros([2 * n for n in cells.shape[1:]], bool)
-    for kind in range(8):
-        grid[kind >> 2 & 1 :: 2, kind >> 1 & 1 :: 2, kind & 1 :: 2] |= cells[kind]
-    return ndimage.label(grid)[1]
-
-
 @st.composite
 def volumes(draw):
     """Small random voxels of any density."""
@@ -77,16 +66,16 @@ def volumes(draw):
 def test_thinned_complexes_have_the_topology_that_dgtal_finds(empty, keep):
     theirs, space = _complex(empty)
     whole = closure(empty)
-    assert np.array_equal(_of_dgtal(theirs, space, empty.shape), _cells(whole))
+    assert np.array_equal(_of_dgtal(theirs, space, empty.shape), oracle.cells_of(whole))
     distance = distance_map(empty)
-    ours = _cells(thin(whole, distance, opening_map(distance), keep))
+    ours = oracle.cells_of(thin(whole, distance, opening_map(distance), keep))
     again = _to_dgtal(ours, space)
     assert again.euler() == theirs.euler() == whole.euler_characteristic()
     theirs.thinning(method="pardir")
     again.thinning(method="pardir")
     # What both collapse to in the end has the same pieces, and as many tunnels more than hollows in all.
     ends = [_of_dgtal(complex_, space, empty.shape) for complex_ in (theirs, again)]
-    assert _pieces(ends[0]) == _pieces(ends[1]) == _pieces(ours)
+    assert oracle.components(ends[0]) == oracle.components(ends[1]) == oracle.components(ours)
     assert theirs.euler() == again.euler()
 
 
@@ -104,7 +93,7 @@ def test_dgtal_and_ours_agree_on_known_bodies(name, euler):
     thinned = thin(closure(empty), distance, opening_map(distance), TOPOLOGY)
     theirs.thinning(method="pardir")
     assert theirs.euler() == thinned.euler_characteristic() == euler
-    dimensions = [sum(int(_cells(thinned)[kind].sum()) for kind in range(8) if kind.bit_count() == d) for d in range(4)]
+    dimensions = [sum(int(oracle.cells_of(thinned)[kind].sum()) for kind in range(8) if kind.bit_count() == d) for d in range(4)]
     counts = [theirs.nbCells(d) for d in range(4)]
     # Neither leaves a cube, and each leaves faces only round the hollow.
     assert counts[3] == dimensions[3] == 0

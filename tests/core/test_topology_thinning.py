@@ -30,28 +30,16 @@ def volumes(draw):
     return empty
 
 
-def _cells(complex_):
-    return np.stack([complex_.of_type(kind) for kind in range(8)])
-
-
-def _components(cells):
-    """Connected components of a complex: cells touch those one dimension up and down."""
-    grid = np.zeros([2 * n for n in cells.shape[1:]], bool)
-    for kind in range(8):
-        grid[kind >> 2 & 1 :: 2, kind >> 1 & 1 :: 2, kind & 1 :: 2] |= cells[kind]
-    return ndimage.label(grid)[1]
-
-
 @settings(max_examples=300, deadline=None)
 @given(volumes())
 def test_euler_characteristic_and_components_never_change(empty):
     whole = closure(empty)
     distance = distance_map(empty)
     thinned = thin(whole, distance, opening_map(distance))
-    before, after = _cells(whole), _cells(thinned)
+    before, after = oracle.cells_of(whole), oracle.cells_of(thinned)
     assert np.array_equal(before, oracle.closure(empty))
     assert whole.euler_characteristic() == oracle.euler(before) == thinned.euler_characteristic() == oracle.euler(after)
-    assert _components(after) == ndimage.label(empty, np.ones((3, 3, 3)))[1]
+    assert oracle.components(after) == ndimage.label(empty, np.ones((3, 3, 3)))[1]
     assert not after[7].any()
     assert not (after & ~before).any()
 
@@ -66,7 +54,7 @@ def test_the_same_cells_as_sweeps_over_everything(empty, keep):
         return i - birth > keep.opening * o - keep.distance * d + keep.birth * birth + keep.least
 
     expected = oracle.thin(oracle.closure(empty), distance, opening, kept)
-    assert np.array_equal(_cells(thin(closure(empty), distance, opening, keep)), expected)
+    assert np.array_equal(oracle.cells_of(thin(closure(empty), distance, opening, keep)), expected)
 
 
 @settings(max_examples=100, deadline=None)
@@ -82,7 +70,7 @@ def test_opened_shells_leave_curves(empty):
     # One for each solid part that floats, but for Bing's houses, of which so small a volume has none.
     solid = ndimage.label(np.pad(~empty, 1, constant_values=True))[1]
     assert opened == solid - 1
-    assert _components(_cells(thinning.complex)) == ndimage.label(empty, np.ones((3, 3, 3)))[1]
+    assert oracle.components(oracle.cells_of(thinning.complex)) == ndimage.label(empty, np.ones((3, 3, 3)))[1]
 
 
 def test_a_cube_is_a_point_and_a_long_room_a_line():

@@ -3,6 +3,7 @@
 import itertools
 
 import numpy as np
+from scipy import ndimage
 
 
 def touches(triangle, low, high):
@@ -27,6 +28,19 @@ def closure(empty):
         for dz, dy, dx in itertools.product(*(range(1 if kind & bit else 2) for bit in (4, 2, 1))):
             cells[kind, dz : dz + nz, dy : dy + ny, dx : dx + nx] |= empty
     return cells
+
+
+def cells_of(complex_):
+    """(8, Z, Y, X) bool: the cells of a complex by type."""
+    return np.stack([complex_.of_type(kind) for kind in range(8)])
+
+
+def components(cells):
+    """Connected components of a complex: cells touch those one dimension up and down."""
+    grid = np.zeros([2 * n for n in cells.shape[1:]], bool)
+    for kind in range(8):
+        grid[kind >> 2 & 1 :: 2, kind >> 1 & 1 :: 2, kind & 1 :: 2] |= cells[kind]
+    return ndimage.label(grid)[1]
 
 
 def euler(cells):
