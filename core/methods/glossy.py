@@ -47,6 +47,8 @@ from ..surfaces.layout import (
     GLOSSY_F90,
     NORMAL,
     ROUGHNESS,
+    SHEEN,
+    SHEEN_ROUGHNESS,
     SURFACE,
     TILT,
     as_if_whole,
@@ -62,7 +64,7 @@ from ..surfaces.visibility import OUTSIDE
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from ..view.tile import PERFECT
+from ..view.tile import FAINT, PERFECT
 from .light_cache import LightCache, add_known, find_cell, more_by_view, no_cache, take_lobes
 from .tails import path_light, tail_light
 from .wide_lobes import (
@@ -280,7 +282,7 @@ def _reflect_chunk(
             narrow = max(surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]) > NEGLIGIBLE and (
                 surface[ROUGHNESS] < NARROW or is_brushed(surface)
             )
-            if (narrow or flags & EMISSIVE) and not flags & CONSTANT:  # it may depend on the view
+            if (narrow or surface[SHEEN_ROUGHNESS] != _0 or flags & EMISSIVE) and not flags & CONSTANT:  # it may depend on the view
                 view = specular_view(-cosine if behind else cosine, GLOSSY)
                 if flags & REFRACTIVE and behind and inside == OUTSIDE:
                     view = from_within(view)
@@ -304,6 +306,10 @@ def _reflect_chunk(
             if points.shown[i]:
                 continue
             ar, ag, ab = diffuse_albedo(surface, cosine)
+            hits.sheen[n_hits, 0] = surface[SHEEN] / max(ar, FAINT)
+            hits.sheen[n_hits, 1] = surface[SHEEN + 1] / max(ag, FAINT)
+            hits.sheen[n_hits, 2] = surface[SHEEN + 2] / max(ab, FAINT)
+            hits.sheen[n_hits, 3] = surface[SHEEN_ROUGHNESS]
             shadowed = mean_shadowing(surface[TILT])
             ar, ag, ab = shadowed * ar, shadowed * ag, shadowed * ab
             lr = lg = lb = _0
@@ -356,7 +362,7 @@ def _reflect_chunk(
                         path_light(
                             scene, packet, rows, surface, another, cache, near, triangle, px, py, pz, p_error, hx, hy, hz, nx, ny, nz, -ex, -ey, -ez,
                             inside, row + np.int64(uniform(key, index, 1, 5) < glossy), True, hash_combine(key, np.uint32(1)), np.uint32(index),
-                            known, i, scale * wr, scale * wg, scale * wb, own, sheen, _1, _1, _0, _1,
+                            known, i, scale * wr, scale * wg, scale * wb, own, sheen, _1, _1, _0, _1, False,
                         )  # fmt: skip
                     continue
             if roulette:
@@ -391,7 +397,7 @@ def _reflect_chunk(
                 part = through / (through + kept)
                 if uniform(key, index, 1, 4) < part:
                     hx, hy, hz, nx, ny, nz = -hx, -hy, -hz, -nx, -ny, -nz
-                    kr = kg = kb = _0
+                    hits.sheen[n_hits, 3] = kr = kg = kb = _0
                     ar, ag, ab = lr / part, lg / part, lb / part
                 else:
                     part = _1 - part

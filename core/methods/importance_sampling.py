@@ -313,7 +313,7 @@ def _gathered(
         last = whole if further else _1
         path_light(
             scene, single, rows, surface, lobe, cache, near, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered,
-            bounces + np.int64(further), True, seed, path, out, k, wr, wg, wb, own, sheen, whole, last, relied, reach,
+            bounces + np.int64(further), True, seed, path, out, k, wr, wg, wb, own, sheen, whole, last, relied, reach, False,
         )  # fmt: skip
 
 

@@ -121,7 +121,7 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, points
             probes.albedo[probe, 0], probes.albedo[probe, 1], probes.albedo[probe, 2] = lit * r, lit * g, lit * b
         mirrored = _0 if encloses(scene.materials.flags[scene.material[triangle]], behind) else _1
         tx, ty, tz, r, g, b, kinds, _ = scatter_light(
-            scene, packet, rows, surface, lobe, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered, LAMP_RAYS, True, False, seed, path, at,
+            scene, packet, rows, surface, lobe, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered, LAMP_RAYS, True, 0, seed, path, at,
             probes.direct, probes.shine, probes.beneath, probes.glass, True, probe, _1, _1, _1, mirrored, _1, _0, _1,
         )  # fmt: skip
         rays += LAMP_RAYS

@@ -46,7 +46,7 @@ from ..surfaces.layout import (
 from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, goes_past, lobe_cosine, lobe_value, sample_above, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
-from ..surfaces.sheen import lit_from
+from ..surfaces.sheen import lit_from, shape
 from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
 from ..threads import run_chunks
 from ..transport import Transport
@@ -78,7 +78,8 @@ def scatter_light(
 
     on: its triangle.  (x, y, z), error, g, s: the point, its rounding error, its normals on the side of w.  surface: its material, evaluated;
     overwritten.  lobe: (LOBE,) float32, scratch.  entered: solids of glass that the surface lies in, to its view.  lamp_rays: shadow rays for the direct light.  diffuse: whether the diffuse lobe may be drawn, and light by way of glass counts.
-    towards: whether a glossy lobe sends the lamps' light where it does, not as a diffuse one.  at: first dimension.
+    towards: whether a glossy lobe sends the lamps' light where it does, not as a diffuse one, and, above 1, whether sheen does, of a surface evaluated for w.
+    at: first dimension.
     out, shine, beneath: (N, 3 G) float32: pi times the radiance by direct light (W/m^2), weighed by k, is added to row i: of the diffuse lobe, and of what
     comes through, to that of `out`, of the glossy one, times `sheen`, to that of `shine`.
     What comes from below the facet, where no particle lands, or nearly along it, where their weight is bounded, goes to `beneath`, times `aside`.
@@ -90,7 +91,7 @@ def scatter_light(
     """
     emitters = scene.emitters
     shining = len(emitters.source)
-    world = towards and shining < len(emitters.kind) and emitters.kind[shining] == WORLD and emitters.flags[shining] & SEEN_BY_GLOSSY
+    world = towards > 0 and shining < len(emitters.kind) and emitters.kind[shining] == WORLD and emitters.flags[shining] & SEEN_BY_GLOSSY
     cosine = lobe_cosine(sx, sy, sz, gx, gy, gz, wx, wy, wz)
     dr, dg, db = diffuse_albedo(surface, cosine)
     tr, tg, tb = translucency(surface, cosine)
@@ -105,7 +106,7 @@ def scatter_light(
     # As many again on the other side, where light comes through; called in one place, which is as fast as without.
     side = _1
     set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, roughness, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
-    turned = towards and lobe[ALPHA] > _0
+    turned = towards > 0 and lobe[ALPHA] > _0
     kept = lobe[ALBEDO]
     if turned and roughness < BLUR:
         set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, BLUR, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
@@ -152,7 +153,10 @@ def scatter_light(
                 rest *= _1 - relied * carried_by_lights(roughness * roughness, sx, sy, sz, dx, dy, dz, gx, gy, gz, wx, wy, wz, reach)
             fr, fg, fb = fr * lr, fg * lg, fb * lb
             if sheened != _0:
-                more = lit_from(sheened, cosine) - _1
+                if towards > 1:
+                    more = min(shape(sheened, cosine, sx * wx + sy * wy + sz * wz, wx * dx + wy * dy + wz * dz), PEAK) - _1
+                else:
+                    more = lit_from(sheened, cosine) - _1
                 r, g, b = lit * r * (dr + more * hr), lit * g * (dg + more * hg), lit * b * (db + more * hb)
             else:
                 r, g, b = lit * r * dr, lit * g * dg, lit * b * db
@@ -238,7 +242,7 @@ def _add_gain(scene, surface, cache, on, x, y, z, gx, gy, gz, cosine, seed, path
 @leaf
 def path_light(
     scene, packet, rows, surface, lobe, cache, near, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, bounces, follows, seed, path,
-    out, i, kr, kg, kb, own, sheen, whole, last, relied, reach,
+    out, i, kr, kg, kb, own, sheen, whole, last, relied, reach, for_view,
 ):  # fmt: skip
     """Adds one sample of pi times the radiance that a surface sends towards w, weighed by k, to row i of `out`.
 
@@ -248,6 +252,7 @@ def path_light(
     is glossy.  follows: whether metal is not looked up.  cache: what surfaces farther away than `near` (m) are known to send ends the path; `no_cache()` knows none.
     own: how much of the lamps' light that the first surface reflects counts, 0 for no shadow ray, sheen: of that which it reflects as a glossy one,
     whole: of that which comes from below its facet.  last: of all light that has left as many surfaces as it may.  relied, reach: of the first surface.
+    for_view: whether the first surface was evaluated for w.
     out: (N, 3 G) float32 W/m^2, three columns for each light group.
     """
     wr = wg = wb = _1
@@ -262,9 +267,10 @@ def path_light(
         shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1
         carried = relied if vertex == 0 else _0
+        towards = np.int64(2) if for_view and vertex == 0 else np.int64(1)
         dx, dy, dz, tr, tg, tb, kinds, beyond = scatter_light(
             scene, packet, rows, surface, lobe, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, np.int64(first > _0), left > 0,
-            True, seed, path, at, out, out, out, out, False, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
+            towards, seed, path, at, out, out, out, out, False, i, first * kr * wr, first * kg * wg, first * kb * wb, shine, aside,
             carried, reach,
         )  # fmt: skip
         if kinds == 0:
@@ -346,11 +352,14 @@ def _tail_chunk(scene, cache, near, points, further, begin, end, bounces, seed, 
         surface[ROUGHNESS] = points.roughness[i]
         for c in range(4):
             surface[GLOSS + c] = points.gloss[i, c]
+        for c in range(3):
+            surface[SHEEN + c] = points.sheen[i, c] * surface[layout.DIFFUSE + c]
+        surface[SHEEN_ROUGHNESS] = points.sheen[i, 3]
         path_light(
             scene, packet, rows, surface, lobe, cache, near, points.triangle[i], points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
             points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], np.int64(points.entered[i]), most, False, seed, np.uint32(i),
-            out, i, weight, weight, weight, _1, _1, _1, _1, _0, _1,
+            out, i, weight, weight, weight, _1, _1, _1, _1, _0, _1, True,
         )  # fmt: skip
 
 

@@ -472,3 +472,14 @@ def test_paths_find_all_of_an_even_sky_in_lobes_along_the_surface(roughness, cos
     mean, error = mean_and_error(light)
     assert mean == pytest.approx(math.pi * float(lobe_of(roughness, cosine, 0.04, 1)[ALBEDO]), rel=0.1, abs=4 * error)
     assert light.max() < 40 * mean
+
+
+@pytest.mark.parametrize("cosine", [0.15, 0.9])
+def test_cloth_in_a_reflection_shines_as_its_view_sees_it(cosine):
+    """A path from a hit sends what direct light of a shading point there would be: sheen shone evenly, from above as bright as along the pile."""
+    scene, points = Set(lamp(sc.POINT, 3, (0.5, 0.3, 1.5))), points_at(64, 0.5, cosine, f0=0.0, f90=0.0, albedo=0.6)
+    points.sheen[:] = (0.9, 0.5, 0.0, 0.3)
+    sent = tail_light(scene.tables, points, 1, 3)[0]
+    light, _ = direct_light(scene.tables, points, 16, 1)
+    assert sent == pytest.approx(light.irradiance[0] * points.albedo[0], rel=1e-3)
+    assert abs(sent[0] / sent[2] - 1) > 0.2

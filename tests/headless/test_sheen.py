@@ -48,3 +48,22 @@ def test_cloth_is_as_bright_as_in_cycles(kind, light):
     found = render(extract_scene(scene, size=SIZE), RenderSettings(method="importance-sampling", bounces=0, direct_samples=64)).layers
     # The fit of the fibres' albedo differs from Cycles' table by up to .02.
     np.testing.assert_allclose(found["Direct"].mean(axis=(0, 1)), reference["Direct"].mean(axis=(0, 1)), rtol=0.05)
+
+
+@pytest.mark.parametrize("light", ["sky", "lamp"])
+def test_cloth_seen_in_polished_metal_is_as_bright_as_in_cycles(light):
+    """A plate shows the cloth from straight above, where its pile hardly shines: it had the sheen of the mean view."""
+    scene = cloth("principled")
+    metal = material("Metal", Base_Color=(0.9, 0.9, 0.9, 1), Metallic=1.0, Roughness=0.15)
+    quad(scene, [(-0.5, -0.3, 1.7), (0.5, -0.3, 1.7), (0.5, 0.3, 1.1), (-0.5, 0.3, 1.1)], metal)
+    look(scene, (0, -4, 1.4), (math.radians(90), 0, 0), lens=200)
+    if light == "sky":
+        scene.world = bpy.data.worlds.new("Sky")
+        scene.world.color = (1, 1, 1)
+    else:
+        lamp(scene, "POINT", (0, 4, 1), energy=500.0, shadow_soft_size=0.05)
+    found = render(extract_scene(scene, size=SIZE), RenderSettings(method="importance-sampling", bounces=1, reflections=32)).layers
+    reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=SIZE, bounces=1))
+    np.testing.assert_allclose(
+        found["GlossyIndirect"].mean(axis=(0, 1)), reference["GlossyIndirect"].mean(axis=(0, 1)), rtol=0.06, atol=0.003
+    )
