@@ -120,21 +120,24 @@ def lit_from(roughness, light):
 def shape(roughness, light, view, between):
     """How bright light from one direction makes the lobe, over even light of the same irradiance: its mean over the hemisphere, by cosine, is 1.
 
-    light, view: cosines of the directions to light and view with the normal;  between: with each other.
+    light, view: cosines of the directions to light and view with the normal, below 0 from behind;  between: with each other.
     """
-    if light <= _0 or view <= _0:
+    if light <= _0:
         return _1
     if roughness >= _0:
-        y, x = max(roughness, _SMALLEST), min(view, _1)
+        # A bump that faces away is seen along its pile, from its own side, as by Cycles: not at all evenly.
+        y, x = max(roughness, _SMALLEST), min(max(view, _0), _1)
         a = (F(2.58126) * x + F(0.813703) * y) * y / (_1 + F(0.310327) * x * x + F(2.60994) * x * y)
         b = F(math.sqrt(_1 - x)) * (y - _1) * y * y * y / (F(0.0000254053) + F(1.71228) * x - F(1.71506) * x * y + F(1.34174) * y * y)
         # The part of the light's direction along the surface, towards the viewer and across.
-        sine = F(math.sqrt(max(_1 - x * x, F(1e-12))))
-        along = (between - light * x) / sine
+        sine = F(math.sqrt(max(_1 - view * view, F(1e-12))))
+        along = (between - light * view) / sine
         across2 = max(_1 - light * light - along * along, _0)
         length2 = (a * along + b * light) ** 2 + a * a * across2 + light * light
         a /= length2
         return a * a
+    if view <= _0:
+        return _0
     s = max(-roughness, _SMALLEST)
     half2 = max(F(0.5) * (_1 + between), F(1e-9))  # squared cosine of the view with the half vector
     cos_h2 = (light + view) * (light + view) / (F(4) * half2)

@@ -62,6 +62,20 @@ def test_fibres_shine_back_and_at_the_rim():
     assert back > beyond > straight
 
 
+@pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
+def test_a_bump_seen_from_behind_shines_along_its_pile(roughness):
+    """As of Cycles, which takes the lobe of a view along the surface then; evenly lit it was half too bright on cloth with deep bumps."""
+    lights, turned = hemisphere(), -0.4
+    found = shapes(roughness, turned, lights)
+    assert 2 * (found * lights[:, 2]).mean() == pytest.approx(1, abs=0.05)
+    np.testing.assert_allclose(found, shapes(roughness, 0.0, lights), rtol=1e-3, atol=1e-4)
+    assert found[lights[:, 2] > 0.9].max() < 0.8 < 1 < found[lights[:, 2] < 0.2].max()
+
+
+def test_a_velvet_seen_from_behind_is_dark():
+    assert not shapes(-0.5, -0.4, hemisphere(20)).any()
+
+
 def test_factors_tell_channels_apart():
     row = np.array([0.5, 0.0, 1.0, 0.5], F)
     up, light = F([0, 0, 1]), F([0.8, 0, 0.6])

@@ -50,6 +50,25 @@ def test_cloth_is_as_bright_as_in_cycles(kind, light):
     np.testing.assert_allclose(found["Direct"].mean(axis=(0, 1)), reference["Direct"].mean(axis=(0, 1)), rtol=0.05)
 
 
+def test_deeply_bumped_cloth_is_as_bright_as_in_cycles():
+    """Half of what is seen are slopes that face away, whose pile shines along them, away from the lamp above."""
+    scene = cloth("principled")
+    tree = bpy.data.materials["Cloth"].node_tree
+    shader, wave, bump = tree.nodes["Principled BSDF"], tree.nodes.new("ShaderNodeTexWave"), tree.nodes.new("ShaderNodeBump")
+    wave.inputs["Scale"].default_value = 2.0
+    bump.inputs["Distance"].default_value = 0.2
+    wave.bands_direction = "Y"
+    tree.links.new(tree.nodes.new("ShaderNodeTexCoord").outputs["Object"], wave.inputs["Vector"])
+    tree.links.new(wave.outputs["Fac"], bump.inputs["Height"])
+    tree.links.new(bump.outputs["Normal"], shader.inputs["Normal"])
+    lamp(scene, "POINT", (0, 0, 3), energy=500.0, shadow_soft_size=0.05)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=SIZE, bounces=0))
+    found = render(
+        extract_scene(scene, size=SIZE), RenderSettings(method="importance-sampling", bounces=0, direct_samples=64, pixel_samples=64)
+    ).layers
+    np.testing.assert_allclose(found["Direct"].mean(axis=(0, 1)), reference["Direct"].mean(axis=(0, 1)), rtol=0.12)
+
+
 @pytest.mark.parametrize("light", ["sky", "lamp"])
 def test_cloth_seen_in_polished_metal_is_as_bright_as_in_cycles(light):
     """A plate shows the cloth from straight above, where its pile hardly shines: it had the sheen of the mean view."""
