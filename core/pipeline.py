@@ -46,7 +46,6 @@ from .subpixel import PointLight
 from .threads import thread_count
 from .topology import IN_MEMORY, Topologies, Topology
 from .transport import Transport
-from .view.points import spared_rays
 from .view.primary import View, view
 
 GLANCE = 64  # pixels along the longer side of a picture that tells what the whole one will show
@@ -366,8 +365,6 @@ def _pass(
     if not shining:
         seen.emitted[:, 1:] = 0
     points = seen.points
-    if settings.skipping:
-        points = points._replace(spared=spared_rays(points))
     if run.topology is not None:
         tables = within_reach(run, tables, points)
     nothing = tables.emitters.no_light(len(points.pixel))

@@ -97,7 +97,6 @@ class Receivers(NamedTuple):
     sheen: np.ndarray
     gloss: np.ndarray
     entered: np.ndarray
-    spared: np.ndarray
     gathered: np.ndarray
     met: np.ndarray
     gather_key: np.ndarray
@@ -457,13 +456,6 @@ def _new_rays(n):
     )  # fmt: skip
 
 
-@inlined
-def samples_at(emitters, points, i, samples):
-    """How many of the `samples` shadow rays of other points point i gets: what is not `spared`, and enough for every group, which small lamps rely on (`sharp_emitters`)."""
-    least = min(samples, len(emitters.groups))
-    return max(least, np.int64(math.ceil((_1 - points.spared[i]) * np.float32(samples))))
-
-
 @leaf
 def _prepare(scene, nodes, points, i, k, samples, reflections, seed, first, spare, block):
     """Row k of `block` for point i; nodes: of the tree, by which its lamps are chosen."""
@@ -489,7 +481,6 @@ def _prepare(scene, nodes, points, i, k, samples, reflections, seed, first, spar
                     block.estimate[k, g] = group_estimate(emitters, g, px, py, pz, around, ax, ay, az)
             if not _counts(scene, emitters.groups[g], points.triangle[i], len(points.wo) > 0 and _has_lobe(points, i)):
                 block.estimate[k, g] = _0
-    samples = samples_at(emitters, points, i, samples)
     deal(block.estimate[k], samples, to_unit(hash_combine(hash_combine(seed, i), first)), block.count[k], block.weight[k])
     for g in range(len(emitters.groups)):
         block.number[k, g] = _1 / block.weight[k, g] if block.weight[k, g] > _0 else _0
@@ -504,9 +495,7 @@ def _prepare(scene, nodes, points, i, k, samples, reflections, seed, first, spar
             block.patterned[k, g] = albedo / np.float32(n)
     if len(points.wo) > 0:
         set_point_lobe(points, i, block.lobe[k])
-        block.drawn[k] = reflection_count(
-            block.lobe[k], points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], reflections, points.spared[i]
-        )
+        block.drawn[k] = reflection_count(block.lobe[k], points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], reflections)
         if block.drawn[k] > 0:
             expected_samples(scene, points.triangle[i], px, py, pz, sx, sy, sz, samples, block.unshadowed[k], spare, block.expected[k])
     if tree.root >= 0 and points.gathered[i] > 0 and not block.drawn[k] > 0:
@@ -1132,7 +1121,7 @@ def direct_light(
         first: number of the pass; passes of one seed and sample count go on in the same sequences.
         reflections: most rays drawn from a point's lobe; where above 0, the light that they find is theirs to add
             (`methods.glossy.reflect`, called with the same numbers).
-        lobes: whether the points' lobes matter at all; without, they need the arrays position, ns, ng and error only (and may have spread, facet, varied, tilt and spared; rough surfaces are lit as smooth ones).
+        lobes: whether the points' lobes matter at all; without, they need the arrays position, ns, ng and error only (and may have spread, facet, varied and tilt; rough surfaces are lit as smooth ones).
         apart: whether to tell apart what comes from lamps with sharp shadows (`sharp_emitters`), if there are any.
         gathered: gather rays that the points have traced, which then count for what they find of the world and of shining surfaces; None for none.
 
@@ -1151,11 +1140,10 @@ def direct_light(
         facet = getattr(points, "facet", np.zeros((len(points.position), 0), np.int32))
         varied = getattr(points, "varied", np.zeros((len(points.position), 0, VARIED), np.float32))
         entered = np.zeros(len(points.position), np.uint8)
-        spared = getattr(points, "spared", np.zeros(len(points.position), np.float32))
         triangle = getattr(points, "triangle", np.full(len(points.position), -1, np.int32))
         receivers = Receivers(
             points.position, points.ns, points.ng, points.error, triangle, none, none, none, np.zeros(0, np.float32), none, spread, facet, varied,
-            np.zeros((0, 0, 3), np.float32), tilt, rough, np.zeros((0, 4), np.float32), np.zeros((0, 4), np.float32), entered, spared, *others,
+            np.zeros((0, 0, 3), np.float32), tilt, rough, np.zeros((0, 4), np.float32), np.zeros((0, 4), np.float32), entered, *others,
         )  # fmt: skip
     receivers = Reference(receivers)
     n, columns = len(points.position), 3 * scene.emitters.light_groups

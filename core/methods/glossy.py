@@ -21,7 +21,6 @@ from ..lamps.direct import (
     is_turned,
     is_turned_at,
     passed_straight,
-    samples_at,
     set_place_lobe,
     set_point_lobe,
 )
@@ -220,15 +219,13 @@ def _reflect_chunk(
     n_hits = rays = 0
     for i in range(begin, end):
         set_point_lobe(points, i, lobe)
-        n = reflection_count(lobe, points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], most, points.spared[i])
+        n = reflection_count(lobe, points.albedo[i, 0], points.albedo[i, 1], points.albedo[i, 2], most)
         if n == 0:
             continue
         x, y, z, error = points.position[i, 0], points.position[i, 1], points.position[i, 2], points.error[i]
         gx, gy, gz = points.ng[i, 0], points.ng[i, 1], points.ng[i, 2]
         sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
-        expected_samples(
-            scene, points.triangle[i], x, y, z, sx, sy, sz, samples_at(scene.emitters, points, i, samples), estimate, count, expected
-        )
+        expected_samples(scene, points.triangle[i], x, y, z, sx, sy, sz, samples, estimate, count, expected)
         key = hash_combine(seed, i)
         entered = np.int64(points.entered[i])
         wide = (shared.gather[i] > 0 or shared.lights) and is_wide(lobe)

@@ -55,7 +55,7 @@ from ..surfaces.sheen import factors
 from ..surfaces.visibility import OUTSIDE, encloses, evaluate_along, nearest_surface, transmittance1
 from ..threads import Progress, part, run_chunks
 from ..transport import Transport, is_translucent
-from ..view.points import WHOLE, ShadingPoints, is_transmitting, shares
+from ..view.points import ShadingPoints, is_transmitting, shares
 from ..vpl_pool import BATCH_SEED, MOST_BATCHES, UNSEEN, Particles, vpl_pool
 from .caustics import Caustics, add_caustics, by_lobes
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
@@ -72,6 +72,7 @@ from .wide_lobes import WIDE_ALPHA, SharedRays, bound, drawn_share, gather_densi
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
 KEPT = 4  # times the lights asked for stay in the pool: a point looks at one subset, and all points at more lights
+WHOLE = 2.0  # points that are half of what their pixel shows, or more, get all rays
 PICKS = 8  # of a subset: more of them go to further subsets
 PATHS = 0.16  # of the cache a point, times the root of its rays: what they find is noisier than what the cache knows
 MIN_PATHS = 20000
@@ -135,7 +136,7 @@ def _gather_leaf(
             if lobed:
                 set_point_lobe(points, k, lobes[k - base])
                 drawn[k - base] = reflection_count(
-                    lobes[k - base], points.albedo[k, 0], points.albedo[k, 1], points.albedo[k, 2], reflections, points.spared[k]
+                    lobes[k - base], points.albedo[k, 0], points.albedo[k, 1], points.albedo[k, 2], reflections
                 )
         for s in range(most):
             for k in range(base, top):

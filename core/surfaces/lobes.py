@@ -164,12 +164,12 @@ def _view_scale(f, single, mean):
 
 
 @inlined
-def reflection_count(lobe, dr, dg, db, most, spared):
-    """How many of at most `most` rays are drawn from a lobe beside the diffuse albedo (dr, dg, db): by its share of the light, less what is `spared` (0..1)."""
+def reflection_count(lobe, dr, dg, db, most):
+    """How many of at most `most` rays are drawn from a lobe beside the diffuse albedo (dr, dg, db): by its share of the light."""
     if not lobe[ALPHA] > _0:
         return 0
     share = lobe[ALBEDO] / (lobe[ALBEDO] + _THIRD * (dr + dg + db))
-    return max(np.int64(1), np.int64((_1 - spared) * np.float32(most) * min(_1, _FULL * share) + _HALF)) if most > 0 else np.int64(0)
+    return max(np.int64(1), np.int64(np.float32(most) * min(_1, _FULL * share) + _HALF)) if most > 0 else np.int64(0)
 
 
 @inlined

@@ -12,8 +12,6 @@ from ..surfaces.layout import glossy_rise
 from ..threads import run_chunks
 
 SPREAD = 3  # further places of a point on its surface
-WHOLE = 2.0  # points that are half of what their pixel shows, or more, get all gather rays, and all rays to virtual lights
-FEW = 8.0  # an eighth, all shadow rays and rays from their lobes, of which there are fewer
 GRAZING = np.float32(-1e-6)  # rounding of the cosine with which a viewer sees the side that is lit
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -43,7 +41,6 @@ class ShadingPoints(NamedTuple):
     sheen: (N, 4) float32, the part (0..1, rgb) of the albedo that is a lobe of `surfaces.sheen`, and its roughness; 0 for none.
     shown: (N,) uint8, 1 where the surfaces that the lobe shows have points of their own, so that it has to find nothing but what shines.
     entered: (N,) uint8, of the back of glass: solids of glass that the view is in by their fronts (see `surfaces.visibility`), and what the lobe shows too.
-    spared: (N,) float32, the part (0..1) of its shadow rays and of those from its lobe that the point does without (see `spared_rays`).
     """
 
     position: np.ndarray
@@ -68,16 +65,15 @@ class ShadingPoints(NamedTuple):
     gloss: np.ndarray
     shown: np.ndarray
     entered: np.ndarray
-    spared: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> ShadingPoints:
-        """Room for n points, not set but for `behind_glass`, `spread`, `facet`, `varied`, `turned`, `tilt`, `rough`, `sheen`, `gloss`, `shown`, `entered` and `spared`, which are 0."""
+        """Room for n points, not set but for `behind_glass`, `spread`, `facet`, `varied`, `turned`, `tilt`, `rough`, `sheen`, `gloss`, `shown` and `entered`, which are 0."""
         f, e = np.float32, np.empty
         return ShadingPoints(
             e((n, 3), f), e(n, f), e((n, 3), f), e((n, 3), f), e(n, np.int32), e(n, np.int32),
             e((n, 3), f), e((n, 3), f), e((n, 3), f), e((n, 3), f), e(n, f), np.zeros(n, np.uint8), np.zeros((n, SPREAD, 3), f), np.zeros((n, SPREAD), np.int32), np.zeros((n, SPREAD + 1, VARIED), f),
-            np.zeros((n, 3, 3), f), np.zeros(n, f), np.zeros(n, f), np.zeros((n, 4), f), np.zeros((n, 4), f), np.zeros(n, np.uint8), np.zeros(n, np.uint8), np.zeros(n, f),
+            np.zeros((n, 3, 3), f), np.zeros(n, f), np.zeros(n, f), np.zeros((n, 4), f), np.zeros((n, 4), f), np.zeros(n, np.uint8), np.zeros(n, np.uint8),
         )  # fmt: skip
 
     @staticmethod
@@ -106,7 +102,7 @@ class ShadingPoints(NamedTuple):
 def blank(points, i):
     """Sets of point i what `ShadingPoints.allocate` sets."""
     points.behind_glass[i] = points.shown[i] = points.entered[i] = 0
-    points.tilt[i] = points.rough[i] = points.spared[i] = _0
+    points.tilt[i] = points.rough[i] = _0
     for c in range(3):
         for k in range(SPREAD):
             points.spread[i, k, c] = _0
@@ -144,18 +140,6 @@ def shares(points: ShadingPoints, wide: float | None = None) -> np.ndarray:
         albedo += np.einsum("nc->n", points.f0) * (points.roughness >= wide)
     whole = np.bincount(points.pixel, albedo)
     return np.divide(albedo, whole[points.pixel], out=np.zeros_like(albedo), where=albedo > 0)
-
-
-def spared_rays(points: ShadingPoints) -> np.ndarray:
-    """`ShadingPoints.spared` of the points of a picture: those that are less than an eighth of what their pixel shows get fewer rays.
-
-    Of what it reflects diffusely or by lobes, whichever the point is more of: a pixel of a far wall of varnished bricks has thirty points.
-    """
-    most = np.zeros(len(points.pixel), np.float32)
-    for reflected in (np.einsum("nc->n", points.albedo), np.einsum("nc->n", glossy_albedos(points))):
-        whole = np.bincount(points.pixel, reflected)[points.pixel]
-        most = np.maximum(most, np.divide(reflected, whole, out=np.zeros_like(most), where=reflected > 0))
-    return np.maximum(0, 1 - FEW * most).astype(np.float32)
 
 
 def pixel_maxima(values: np.ndarray, pixel: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

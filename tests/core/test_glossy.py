@@ -22,7 +22,7 @@ from lumigate.core.surfaces.layout import DIFFUSE, GLOSSY_F0, GLOSSY_F90, ROUGHN
 from lumigate.core.surfaces.lobes import ALBEDO, LOBE, flattened_lobe, lobe_value, sample_lobe, set_lobe
 from lumigate.core.surfaces.program import new_registers
 from lumigate.core.transport import transport
-from lumigate.core.view.points import ShadingPoints, spared_rays
+from lumigate.core.view.points import ShadingPoints
 from lumigate.headless.stress.arrays import camera, geometry, icosphere, materials, quads
 
 F = np.float32
@@ -483,28 +483,3 @@ def test_cloth_in_a_reflection_shines_as_its_view_sees_it(cosine):
     light, _ = direct_light(scene.tables, points, 16, 1)
     assert sent == pytest.approx(light.irradiance[0] * points.albedo[0], rel=1e-3)
     assert abs(sent[0] / sent[2] - 1) > 0.2
-
-
-@pytest.mark.parametrize("roughness", [0.1, 0.4])
-def test_points_that_are_spared_rays_find_as_much_light_with_fewer(roughness):
-    """A small part of a pixel: shadow rays and rays from the lobe must agree about how many of each there are."""
-    scene = Set(lamp(sc.AREA, 5, (0.3, 0.2, 1.5), size=(1.5, 0.7)), world=0.5)
-    points = points_at(6000, roughness, f0=0.3, albedo=0.2)
-    few = points._replace(spared=np.full(6000, 0.8, F))
-    sums, rays = [], []
-    for some in (points, few):
-        light, shadow = direct_light(scene.tables, some, 8, 1, reflections=6)
-        found = reflect(scene.tables, some, 8, 6, 4, 1)
-        sums.append([mean_and_error(values[:, 0]) for values in (light.irradiance, light.glossy + found.direct)])
-        rays.append((shadow, found.rays))
-    for (whole, error), (mean, noise) in zip(*sums):
-        assert abs(mean - whole) < 4 * math.hypot(error, noise) and noise < 0.02 * whole
-    assert all(fewer < 0.45 * more for more, fewer in zip(*rays))
-
-
-def test_small_parts_of_a_pixel_are_spared_rays():
-    """A pixel with one point, and one with sixteen."""
-    points = points_at(17, 0.3, f0=0.1, f90=0.1, albedo=0.4)._replace(pixel=np.array([0] + 16 * [1], np.int32))
-    np.testing.assert_allclose(spared_rays(points), [0] + 16 * [0.5], rtol=1e-5)
-    points.f0[1] = points.f90[1] = 3  # nearly all of what lobes reflect there
-    np.testing.assert_allclose(spared_rays(points), [0, 0] + 15 * [0.5], rtol=1e-5)
