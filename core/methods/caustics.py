@@ -34,7 +34,8 @@ from ..sampling.sequences import sobol
 from ..scene import ANGLED, DIFFUSE, METAL, POINT, REFRACTIVE, SHADOW, SPOT, SUN, TRANSPARENT, bounds
 from ..surfaces.bending import bent, scattered
 from ..surfaces.brushed import ROUGHEST
-from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSPARENCY, passing_chance
+from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSLUCENCY, TRANSPARENCY, passing_chance
+from ..surfaces.layout import DIFFUSE as SURFACE_DIFFUSE
 from ..surfaces.lobes import ALPHA, LOBE, lobe_value
 from ..surfaces.microfacet import SMALLEST_ALPHA
 from ..surfaces.normals import mapped_normal, shading_normal
@@ -42,7 +43,7 @@ from ..surfaces.program import new_registers
 from ..surfaces.visibility import OUTSIDE, STRAIGHT_ON, bends_most, evaluate_along, is_lens, is_sheet, passed_glass
 from ..threads import Progress, run_chunks
 from ..transport import Transport
-from .wide_lobes import by_photons, is_wide
+from .wide_lobes import WIDE_ALPHA, by_photons, is_wide
 
 CHUNK = 4096  # particles a chunk
 GLANCE, PILOT = 1 << 14, 1 << 16  # particles that tell whether any meet a lens or a lobe, and where
@@ -66,12 +67,15 @@ MUCH, LEAST_PART = 0.2, 0.125
 # Of the disks of photons by lobes as wide as virtual lights can tell, the least part that must meet something which they light, as so many of them tell: on leaves
 # and other small things photons are noisier than virtual lights.
 LEAST_MET, LOOKED_AT = 0.25, 1024
+# Of those that several lobes have reflected: fewer neighbours tell nothing, and a smaller part of the light is left out.
+FEWEST_AGAIN, LITTLE = 8, 0.002
 MANY = 4  # times as many photons as neighbours, at least: fewer tell nothing
 LOOKS = 32  # of the photons by lobes around it that each point looks at: its own noise is the denoiser's
 FEW_LOOKS = 0.5  # root of the least part of these, where they bring little
 ASKED = 16  # neighbours that tell how far more of them are
 RAYS_A_DISK = 8  # that tell how much of it there is
 SPARSE = 2.0  # times the median of the distances at which they lie: none is spread farther
+MOST_LOBES = 16  # one after the other, as in a polished can; few go on so far
 _SURFACES = 32  # that a photon meets at most
 _ALIKE = np.float32(0.7)  # cosine of the normals of a point and of a photon that lights it, at least
 _THICK = np.float32(0.1)  # of that distance: photons so far out of a point's plane are of another surface
@@ -94,6 +98,7 @@ class Photons(NamedTuple):
     side to which it reflects; 0 without one.  flux: (P, 3) float32, W.  side: (P,) float32, 1 where the normal is their triangle's own, else -1.
     group: (P,) int32, their lamps' light groups.  metal: (P,) uint8, whether metal reflected them.  narrow: (P,) float32, by how much narrower it is
     than virtual lights can tell, by `particles.BLUR`: 0 to 1.  followed: (P,) uint8, whether rays that meet the lobe follow it.
+    lobes: (P,) uint8, how many lobes have reflected it, one after the other.
     """
 
     position: np.ndarray
@@ -107,6 +112,7 @@ class Photons(NamedTuple):
     metal: np.ndarray
     narrow: np.ndarray
     followed: np.ndarray
+    lobes: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> Photons:
@@ -117,7 +123,7 @@ class Photons(NamedTuple):
             np.empty(n, np.int32),
             np.empty(n, np.uint8),
             np.empty(n, np.float32),
-            np.empty(n, np.uint8),
+            *(np.empty(n, np.uint8) for _ in range(2)),
         )
 
     def take(self, index) -> Photons:
@@ -128,6 +134,18 @@ class Photons(NamedTuple):
 def bends_light(scene: Transport) -> bool:
     """Whether there is glass at all, and light to bend."""
     return bool((scene.materials.flags & REFRACTIVE).any()) and bool(scene.emitters.flux.any())
+
+
+@inlined
+def _shows(surface, lobes):
+    """Whether a photon that so many lobes have reflected is of use where it lands: what nearly mirrors, as the inside of a can, shows no irradiance.
+
+    There most photons may land, which told how wide the disks of all are: those of the few others would be sparks.
+    """
+    most = _0
+    for c in range(3):
+        most = max(most, surface[SURFACE_DIFFUSE + c], surface[TRANSLUCENCY + c])
+    return most > _0 or (lobes == 1 and surface[ROUGHNESS] * surface[ROUGHNESS] > WIDE_ALPHA)
 
 
 @kernel
@@ -158,7 +176,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
         hides = emitters.shadow_kinds[e]
         kinds = DIFFUSE | hides
         thrown = metal = followed = False
-        narrow = _0
+        narrow, met = _0, np.int64(0)
         ax, ay, az = dx, dy, dz  # the straight way
         square = near * before
         x = y = z = qx = qy = qz = fx = fy = fz = flown = _0
@@ -237,51 +255,57 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     for k in range(min(fronts, NESTED)):
                         r, g, b = owed[k] * r, owed[k] * g, owed[k] * b
                     fronts = 0
-                if lobes and not thrown:
-                    if bends or (glasses > 0 and bounces < 2):
-                        break
-                    if not flags & TRANSPARENT:
-                        evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
-                    if sizeless and not surface[ROUGHNESS] * surface[ROUGHNESS] > SMALLEST_ALPHA:
-                        break
-                    nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
-                    nx, ny, nz = mapped_normal(scene.materials, scene.material[triangle], surface, nx, ny, nz)
-                    if behind:
-                        gx, gy, gz, nx, ny, nz = -gx, -gy, -gz, -nx, -ny, -nz
-                    cos_g, cos_s = gx * dx + gy * dy + gz * dz, nx * dx + ny * dy + nz * dz
-                    if not cos_g < _0:
-                        break
-                    w = min(MAX_ADJOINT, max(_0, cos_s / cos_g))
-                    if emitters.flags[e] & FADING:
-                        w *= faded(emitters, e, near, flown - before)
-                    if kind == SPOT and _2 * flown < far < FOR_EVER:
-                        w *= AWAY_FROM_CENTRE
-                    dx, dy, dz, kr, kg, kb = reflected(
-                        surface, lobe, nx, ny, nz, gx, gy, gz, dx, dy, dz, sobol(i, 5, seed), sobol(i, 6, seed)
-                    )
-                    r, g, b = w * kr * r, w * kg * g, w * kb * b
-                    if not max(r, g, b) > _0:
-                        break
-                    ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
-                    qx, qy, qz, fx, fy, fz = ox, oy, oz, gx, gy, gz
-                    thrown, entered, kinds = True, OUTSIDE, DIFFUSE
-                    metal = flags & METAL > 0
-                    narrow = max(_0, _1 - (surface[ROUGHNESS] / BLUR) ** 2)
-                    followed = surface[ROUGHNESS] < ROUGHEST
-                    continue
-                if not (bends or thrown):
+                if not (bends or lobes) or (lobes and not thrown and (bends or (glasses > 0 and bounces < 2))):
                     break
-                side = -_1 if behind else _1
-                photons.position[n, 0], photons.position[n, 1], photons.position[n, 2] = px, py, pz
-                photons.normal[n, 0], photons.normal[n, 1], photons.normal[n, 2] = side * gx, side * gy, side * gz
-                photons.direction[n, 0], photons.direction[n, 1], photons.direction[n, 2] = dx, dy, dz
-                photons.entry[n, 0], photons.entry[n, 1], photons.entry[n, 2] = qx, qy, qz
-                photons.facing[n, 0], photons.facing[n, 1], photons.facing[n, 2] = fx, fy, fz
-                photons.flux[n, 0], photons.flux[n, 1], photons.flux[n, 2] = r, g, b
-                photons.side[n], photons.group[n] = side, emitters.light_group[e]
-                photons.metal[n], photons.narrow[n], photons.followed[n] = metal, narrow, followed
-                n += 1
-                break
+                if lobes and not flags & TRANSPARENT:
+                    evaluate_along(scene, triangle, u, v, dx, dy, dz, DIFFUSE, OUTSIDE, rows, surface)
+                if not lobes or (thrown and _shows(surface, met)):
+                    side = -_1 if behind else _1
+                    photons.position[n, 0], photons.position[n, 1], photons.position[n, 2] = px, py, pz
+                    photons.normal[n, 0], photons.normal[n, 1], photons.normal[n, 2] = side * gx, side * gy, side * gz
+                    photons.direction[n, 0], photons.direction[n, 1], photons.direction[n, 2] = dx, dy, dz
+                    photons.entry[n, 0], photons.entry[n, 1], photons.entry[n, 2] = qx, qy, qz
+                    photons.facing[n, 0], photons.facing[n, 1], photons.facing[n, 2] = fx, fy, fz
+                    photons.flux[n, 0], photons.flux[n, 1], photons.flux[n, 2] = r, g, b
+                    photons.side[n], photons.group[n] = side, emitters.light_group[e]
+                    photons.metal[n], photons.narrow[n], photons.followed[n], photons.lobes[n] = metal, narrow, followed, met
+                    n += 1
+                if not lobes or met == MOST_LOBES:
+                    break
+                if not thrown and sizeless and not surface[ROUGHNESS] * surface[ROUGHNESS] > SMALLEST_ALPHA:
+                    break
+                nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+                nx, ny, nz = mapped_normal(scene.materials, scene.material[triangle], surface, nx, ny, nz)
+                if behind:
+                    gx, gy, gz, nx, ny, nz = -gx, -gy, -gz, -nx, -ny, -nz
+                cos_g, cos_s = gx * dx + gy * dy + gz * dz, nx * dx + ny * dy + nz * dz
+                if not cos_g < _0:
+                    break
+                w = min(MAX_ADJOINT, max(_0, cos_s / cos_g))
+                if not thrown and emitters.flags[e] & FADING:
+                    w *= faded(emitters, e, near, flown - before)
+                if not thrown and kind == SPOT and _2 * flown < far < FOR_EVER:
+                    w *= AWAY_FROM_CENTRE
+                u1, u2 = uniform(seed, i, layer, 21), uniform(seed, i, layer, 22)
+                if not thrown:
+                    u1, u2 = sobol(i, 5, seed), sobol(i, 6, seed)
+                dx, dy, dz, kr, kg, kb = reflected(surface, lobe, nx, ny, nz, gx, gy, gz, dx, dy, dz, u1, u2)
+                if thrown:  # some go on, and carry for all
+                    kept = w * max(kr, kg, kb)
+                    if uniform(seed, i, layer, 23) >= kept:
+                        break
+                    w /= min(_1, kept)
+                r, g, b = w * kr * r, w * kg * g, w * kb * b
+                if not max(r, g, b) > _0:
+                    break
+                ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
+                qx, qy, qz, fx, fy, fz = ox, oy, oz, gx, gy, gz
+                thrown, entered, kinds = True, OUTSIDE, DIFFUSE
+                met += 1
+                metal = flags & METAL > 0
+                narrow = max(_0, _1 - (surface[ROUGHNESS] / BLUR) ** 2)
+                followed = surface[ROUGHNESS] < ROUGHEST
+                continue
             # What hides from diffuse rays sends none of them to the lamp.
             if seen & DIFFUSE and surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2] > _0:
                 nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, _0, _0, _0)
@@ -332,7 +356,7 @@ def _traced(
     """Photons of so many particles, whose flux is still times the number of particles, and the rays traced."""
 
     def work(begin, end):
-        room = Photons.allocate(end - begin)
+        room = Photons.allocate((end - begin) * (MOST_LOBES if lobes else 1))
         n, rays = _fly(scene, begin, end, np.uint32(seed), lobes, bounces, room)
         return Photons(*(column[:n] for column in room)), rays
 
@@ -362,7 +386,7 @@ def trace_photons(
     how = threads, progress, lobes, bounces
 
     def useful(photons: Photons) -> np.ndarray:
-        return ((photons.position >= low - margin) & (photons.position <= high + margin)).all(axis=1)
+        return ((photons.position >= low - margin) & (photons.position <= high + margin)).all(axis=1) & (photons.lobes <= 1)
 
     photons, rays = _traced(scene, GLANCE, seed, *how)
     if not useful(photons).any():
@@ -410,13 +434,15 @@ def by_lenses(
 def by_lobes(
     scene: Transport, position: np.ndarray, share: float, wide: float, vpls: int, bounces: int, seed: int, threads: int = 0,
     progress: Progress | None = None,
-) -> tuple[Caustics | None, int]:  # fmt: skip
+) -> tuple[Caustics | None, Caustics | None, int]:  # fmt: skip
     """What glossy surfaces throw on points (N, 3) of the lamps' light, None where that is little, beside so many VPLs; and the rays traced.
+
+    By one lobe, and by several, one after the other.
 
     share: of the points' light that it is, about.  wide: part of the points that have wide lobes.
     """
     if share < WORTHWHILE:
-        return None, 0
+        return None, None, 0
     part = min(1.0, max(share / MUCH, LEAST_PART))  # of less light, more noise is as good
     # By powers of two, so that frames of a sequence agree.
     fewer = 2.0 ** round(0.5 * math.log2(max(len(position), 1) / MANY_POINTS))
@@ -427,10 +453,18 @@ def by_lobes(
         scene, position, wanted, int(part * more * MOST_BY_LOBES), bounces, seed, threads, progress,
         lobes=True, worth=WORTHWHILE / share, wide=wide, nearest=nearest if share >= MUCH else 0,
     )  # fmt: skip
-    if len(photons.group) < MANY * nearest:
-        return None, rays
-    caustics = arranged(photons, nearest, threads, tested=True, every=max(1, int(nearest / (LOOKS * max(part, FEW_LOOKS) ** 2))))
-    return caustics, rays + keep_light(scene, caustics, seed, threads)
+    first = photons.take(photons.lobes == 1)
+    if len(first.group) < MANY * nearest:
+        return None, None, rays
+    every = max(1, int(nearest / (LOOKS * max(part, FEW_LOOKS) ** 2)))
+    caustics, further = arranged(first, nearest, threads, tested=True, every=every), None
+    rays += keep_light(scene, caustics, seed, threads)
+    others = photons.take(photons.lobes > 1)
+    nearest = min(nearest, len(others.group) // MANY)
+    if nearest >= FEWEST_AGAIN and others.flux.sum() > LITTLE * first.flux.sum():
+        further = arranged(others, nearest, threads, tested=True, every=min(every, max(1, nearest // LOOKS)))
+        rays += keep_light(scene, further, seed, threads)
+    return caustics, further, rays
 
 
 class Caustics(NamedTuple):

@@ -362,7 +362,7 @@ def _reflect_chunk(
                         path_light(
                             scene, packet, rows, surface, another, cache, near, triangle, px, py, pz, p_error, hx, hy, hz, nx, ny, nz, -ex, -ey, -ez,
                             inside, row + np.int64(uniform(key, index, 1, 5) < glossy), True, hash_combine(key, np.uint32(1)), np.uint32(index),
-                            known, i, scale * wr, scale * wg, scale * wb, own, sheen, _1, _1, _0, _1, False,
+                            known, i, scale * wr, scale * wg, scale * wb, own, sheen, _1, _1, _0, _1, False, _1,
                         )  # fmt: skip
                     continue
             if roulette:

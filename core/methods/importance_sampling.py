@@ -61,7 +61,7 @@ from .caustics import Caustics, add_caustics, by_lobes
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
-from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, LightCache, Probes, build_light_cache, find_cell, look_up, more_by_view
+from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, CacheBuilder, LightCache, Probes, find_cell, look_up, more_by_view
 from .partition import strengths, trusted
 from .probes import Tracer, trace_farther, trace_probes
 from .sparks import spread_sparks, spread_thrown
@@ -313,7 +313,7 @@ def _gathered(
         last = whole if further else _1
         path_light(
             scene, single, rows, surface, lobe, cache, near, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered,
-            bounces + np.int64(further), True, seed, path, out, k, wr, wg, wb, own, sheen, whole, last, relied, reach, False,
+            bounces + np.int64(further), True, seed, path, out, k, wr, wg, wb, own, sheen, whole, last, relied, reach, False, cache.chained,
         )  # fmt: skip
 
 
@@ -580,7 +580,9 @@ class ImportanceSampling:
         self.lights: np.ndarray | None = None  # until `prepare`
         self.shared: SharedRays | None = None
         self.gathered: GatherRays | None = None
-        self.caustics: Caustics | None = None  # what glossy surfaces throw on what is seen, where that is much
+        # What glossy surfaces throw on what is seen, where that is much, by one lobe, and by several, one after the other.
+        self.caustics: Caustics | None = None
+        self.further: Caustics | None = None
         # Of what `irradiance` has found last, and of `reflected`, the part by photons.
         self.thrown: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -623,12 +625,13 @@ class ImportanceSampling:
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
         self.emitters = focused(scene.emitters, self.lit_from) if focus else scene.emitters
         by_view, probed_by_view = views(scene.materials, scene.material, scene.attributes, self.threads)
-        self.cache, self.links = build_light_cache(
-            probes, self.bounces + (has_lobes(points) or is_translucent(scene)), self.seed, self.threads, part(progress, 0.6, 1.0),
+        self.builder = CacheBuilder(
+            probes, self.bounces + (has_lobes(points) or is_translucent(scene)), self.seed, self.threads, part(progress, 0.6, 0.8),
             gathered=self.bounces, later=min(1.0, RELIABLE * focus_share(self.emitters)), relied=self.relied,
             by_view=by_view, probed_by_view=probed_by_view,
             follow=lobe_chances(scene.materials, scene.material, scene.attributes, self.threads), mirrors=scene.materials.flags & METAL > 0,
         )  # fmt: skip
+        self.cache, self.links = self.builder.solve(part(progress, 0.8, 1.0))
         self.probes = probes
         self.near = np.float32(NEAR * self.cache.size)
         self.weighed = False
@@ -716,6 +719,8 @@ class ImportanceSampling:
             return cache._replace(matte=cache.dull, matte_lit=cache.lit, lobes=np.zeros_like(cache.dull))
         followed = cache.follow.any(axis=1)[cache.side, None]
         reflected, shine = followed * links.reflected, followed * self.shine
+        if self.caustics:
+            reflected = np.maximum(0, reflected - followed * (cache.shone - self.shine))
         matte, lit = cache.dull - reflected - cache.shine * shine, cache.lit - (cache.shine * cache.trust)[:, None] * shine
         return cache._replace(matte=matte, matte_lit=lit, lobes=reflected + shine)
 
@@ -723,11 +728,13 @@ class ImportanceSampling:
         """Photons in place of virtual lights and gather rays for what lobes reflect of the lamps, where that is much; the rays traced."""
         share = shine_share(self.probes, self.links, self.cache)
         count *= pool_growth(len(points.pixel))
-        self.caustics, rays = by_lobes(scene, points.position, share, wide_part(points), count, self.bounces, seed, self.threads, progress)
+        self.caustics, self.further, rays = by_lobes(
+            scene, points.position, share, wide_part(points), count, self.bounces, seed, self.threads, progress
+        )
         if self.caustics:
-            cache, shine = self.cache, self.links.shine
-            lit = np.maximum(0, cache.lit - cache.trust[:, None] * shine)
-            self.cache = cache._replace(lit=lit, dull=np.maximum(0, cache.dull - shine), shine=np.float32(0))
+            cache, links = self.cache, self.links
+            lit, dull = np.maximum(0, cache.lit - cache.trust[:, None] * links.shine), np.maximum(0, cache.dull - links.shone)
+            self.cache = cache._replace(lit=lit, dull=dull, shine=np.float32(0), chained=np.float32(0), shone=links.shone)
         return rays
 
     def _redirect(self, first: np.ndarray) -> int:
@@ -752,11 +759,13 @@ class ImportanceSampling:
         rays = sum(run_chunks(work, n, CHUNK, self.threads)) if lights.size else 0
         if self.caustics:
             rays += add_caustics(self.scene, self.caustics, points, self.seed + 7, self.threads, irradiance)
-        self.cache = redirected(
-            self.cache, Reference(self.probes), Reference(self.links), first, irradiance, self.g_max, self.bounces, self.threads,
+        if self.further:
+            rays += add_caustics(self.scene, self.further, points, self.seed + 9, self.threads, irradiance)
+        self.cache, links = redirected(
+            self.builder, self.cache, self.links, first, irradiance, self.g_max, self.threads,
             by_photons=self.caustics is not None,
         )  # fmt: skip
-        self.links = self.links._replace(shine=self.links.shine[:0])  # once is enough
+        self.links = links._replace(shine=links.shine[:0])  # once is enough
         self.pairs += n * lights.shape[2]
         return rays
 
@@ -807,6 +816,8 @@ class ImportanceSampling:
             self.rays += add_caustics(
                 self.scene, self.caustics, points, self.seed + 8 + first, self.threads, *self.thrown, self.near, self.cache.size
             )
+            if self.further:
+                self.rays += add_caustics(self.scene, self.further, points, self.seed + 10 + first, self.threads, self.thrown[0])
             out += self.thrown[0]
             shown += self.thrown[1]
         self.found = sights, parts, gathered

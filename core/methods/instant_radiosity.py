@@ -185,7 +185,7 @@ def compensate(scene, cache, points, begin, end, g_max, samples, bounces, seed, 
                 w = (g - g_max) / g * share
                 path_light(
                     scene, packet, rows, surface, lobe, cache, near, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered,
-                    bounces, False, seed, path, out, k, w * wr, w * wg, w * wb, _1, _1, _1, _1, _0, _1, False,
+                    bounces, False, seed, path, out, k, w * wr, w * wg, w * wb, _1, _1, _1, _1, _0, _1, False, _1,
                 )  # fmt: skip
     return rays
 

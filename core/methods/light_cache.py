@@ -53,7 +53,7 @@ class Probes(NamedTuple):
     beneath: (N, 3 G) float32, the part of it that comes from below the facet of a smooth surface, or nearly along it: no particle has it.
     glass: (N, 3 G) float32, the part of it that came by way of glass.
     carry: (N, 3) float32, the same for each unit that the linked surface sends.
-    albedo: (N, 3) float32, what it reflects of any irradiance by its diffuse lobe, of the first probe of each path.  error: (N,) float32, rounding error of the position (m).
+    albedo: (N, 3) float32, what it reflects of any irradiance by its diffuse lobe.  error: (N,) float32, rounding error of the position (m).
     link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
     reflection, 2 by a glossy one, 3 through a translucent surface.  side, link_side: (N,) int32, as `surface_side` has them.
     distance: (N,) float32, from where the path came (m).  cosine: (N,) float32, of the way there with the normal.  valid: (N,) uint8, whether the path came so far.
@@ -94,7 +94,7 @@ class Links(NamedTuple):
     """How N probes and C cells of a cache hang together, for light whose direction is found later (`thrown`).
 
     cells: (N, LEVELS) int32, of the probes, from the finest on.  link_cell: (N,) int64, where their links end, negative where nothing is known.
-    weight: (N,) float32, of the probes in their cells.  shine: (C, 3 G) float32 W/m^2, of what cells send the lamps' light that lobes reflect;  reflected: (C, 3 G), the
+    weight: (N,) float32, of the probes in their cells.  shine: (C, 3 G) float32 W/m^2, of what cells send the lamps' light that lobes reflect;  shone: (C, 3 G), that and what several lobes have reflected, one after the other;  reflected: (C, 3 G), the
     other light that they do.
     parent: (C,) int64, the next coarser cell, -1 for none.  order: (C,) int64, the cells, the coarsest first.  unit: (C,) float32, what a probe of each weighs.
     """
@@ -103,6 +103,7 @@ class Links(NamedTuple):
     link_cell: np.ndarray
     weight: np.ndarray
     shine: np.ndarray
+    shone: np.ndarray
     reflected: np.ndarray
     parent: np.ndarray
     order: np.ndarray
@@ -125,7 +126,8 @@ class LightCache(NamedTuple):
     tau: float32, mean indirect irradiance of the view (W/m^2, mean of the channels).
     later: float32, by which `share` is less for light that has left several surfaces.
     trust: (C,) float32, by which `share` is less than how bright the cell is would have it: see `trusted`.
-    shine: float32, of what lobes that gather rays meet reflect of the lamps the part that photons do not bring, 0 or 1.
+    shine: float32, of what lobes that gather rays meet reflect of the lamps the part that photons do not bring, 0 or 1.  chained: float32, the same of
+        what several lobes reflect, one after the other.  shone: (C, 3 G) W/m^2, what cells send of either that photons bring; no rows for none.
     gain: (C, 3 G) float32 W/m^2, how much more irradiance each cell gets than its links tell, by what lobes throw on it (`thrown`); no rows for nothing.
     centre: (C, 6) float32, middle and normal of the cells.  side: (C,) int32, their sides.
     root: (C,) int64, the coarsest cell around each.
@@ -149,6 +151,8 @@ class LightCache(NamedTuple):
     later: np.float32
     trust: np.ndarray
     shine: np.float32
+    chained: np.float32
+    shone: np.ndarray
     gain: np.ndarray
     centre: np.ndarray
     side: np.ndarray
@@ -156,6 +160,18 @@ class LightCache(NamedTuple):
     first: np.ndarray
     by_view: np.ndarray
     follow: np.ndarray
+
+
+class Thrown(NamedTuple):
+    """What lobes throw on surfaces of the lamps' light, in place of what links tell of it, which do not know where to lobes reflect it.
+
+    irradiance: (C, 3 G) float32 W/m^2, of the cells.  part: (N,) float32, of the light of lobes that the probes' links bring, the part in whose
+    place it stands.  chains: whether that which several lobes have reflected, one after the other, is part of it.
+    """
+
+    irradiance: np.ndarray
+    part: np.ndarray
+    chains: bool
 
 
 def no_cache() -> LightCache:
@@ -178,6 +194,8 @@ def no_cache() -> LightCache:
         np.float32(1),
         none,
         np.float32(1),
+        np.float32(1),
+        none.reshape(0, 3),
         none.reshape(0, 3),
         none.reshape(0, 6),
         np.zeros(0, np.int32),
@@ -279,6 +297,15 @@ def take_lobes(cache, cell, wr, wg, wb, out, i):
         out[i, c + 2] -= wb * cache.lobes[cell, c + 2]
 
 
+@leaf
+def take_shone(cache, cell, wr, wg, wb, out, i):
+    """Takes from row i of `out` (N, 3 G), weighed by w, what photons bring of what a cell sends."""
+    for c in range(0, out.shape[1], 3):
+        out[i, c] -= wr * cache.shone[cell, c]
+        out[i, c + 1] -= wg * cache.shone[cell, c + 1]
+        out[i, c + 2] -= wb * cache.shone[cell, c + 2]
+
+
 @kernel
 def _insert(probes, origin, size, seed, keys, slot, cells, level_of, centre, side_of):
     """Hash all probes at all levels: `cells` (N, LEVELS) int32; the number of cells, or -1 where the table is too small.
@@ -348,15 +375,15 @@ def _links(probes, cache, begin, end, seed, link_cell):
 
 def _solve(
     probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, root: np.ndarray, level_of: np.ndarray,
-    weight: np.ndarray, looked: np.ndarray, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, beneath: np.ndarray, through: np.ndarray, threads: int, go_on: Callable[[float], None],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    weight: np.ndarray, looked: np.ndarray, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, beneath: np.ndarray, through: np.ndarray, thrown: Thrown | None, threads: int, go_on: Callable[[float], None],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
 
     halves: (2, C, 3 G), its `row` again, as half of the paths tell it;  shine: (2, C, 3 G), the part of that which came from lamps
     and was reflected by a glossy lobe.  through: (2, C, 3 G), the part that glossy links have brought.  first_of: (2, C, 3 G), all that came straight from lamps.  beneath: (2, C, 3 G), of it what came from below facets.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
-    weight: (N,) float32 of the probes.  looked: (N,) bool, those where light is looked up.
+    weight: (N,) float32 of the probes.  looked: (N,) bool, those where light is looked up.  thrown: what lobes throw on surfaces, if that is known.
 
-    Returns (2, C) float32: the weight of the probes of each cell, of either half; `order` and `unit` of `Links`.
+    Returns (2, C) float32: the weight of the probes of each cell, of either half; `order`, `unit` and `shone` of `Links`.
     """
     count, turns = len(parent), _turns_to_settle(probes)
     order = np.argsort(-level_of.astype(np.int64), kind="stable")
@@ -393,7 +420,16 @@ def _solve(
             smooth(part[h], number_of[h], unit, parent, order, half_likeness)
     # Glass is a surface to Cycles, where the last bounce ends: what came by way of it takes one bounce more.
     behind = probes.glass[knows] if probes.glass.any() else None
-    soonest, clear = direct, _1
+    soonest, clear, later = direct, _1, direct
+    if thrown is not None:
+        gained = probes.albedo[knows]
+        gained = np.tile(gained, (1, light.shape[1] // 3)) * thrown.irradiance[places[0]]
+        gained_of = summed(weight[:, None] * gained)
+        later = gained_of.sum(axis=0)
+        smooth(later, number, unit, parent, order, likeness)
+        np.add(direct, later, out=later)
+        for h in range(2):
+            smooth(gained_of[h], number_of[h], unit, parent, order, half_likeness)
     if behind is not None:
         behind_of = summed(weight[:, None] * behind)
         soonest = behind_of.sum(axis=0)
@@ -420,6 +456,25 @@ def _solve(
     sums, scale = np.zeros((count, 2), np.float32), np.ones((count, 1), np.float32)
     linked = linked_of.sum(axis=0)
     carried = np.empty((len(link), direct.shape[1]), np.float32)
+    # Of all that cells send, what lobes reflect of the lamps' light: one, or by glossy links several.
+    one = np.einsum("hc,hck->ck", number_of / np.maximum(number, np.float32(1e-6)), shine)
+    by_lobes, taken = one.copy(), np.zeros_like(carried)
+    bent = np.where(glossy[:, None], carry, _0)
+
+    def chained(light: np.ndarray) -> np.ndarray:
+        """That light by one lobe more, and the first one's."""
+        run_chunks(lambda begin, end: carry_over(link, bent, glossy, light[None], 0, begin, end, taken), len(link), CHUNK, threads)
+        total = np.zeros_like(direct)
+        add_to_cells(places, taken, total, threads)
+        smooth(total, linked, unit, parent, order, likeness)
+        return one + total
+
+    shone = by_lobes
+    if thrown is None:
+        for _ in range(turns * bool(one.any() and glossy.any())):
+            shone = chained(shone)
+    else:
+        brings_shine = np.where(kinds == DIFFUSE_LINK, thrown.part[knows[sending]], _0)[:, None] * np.tile(carry, one.shape[1] // 3)
     # Glossy and translucent links take no bounce: what they carry is found turn by turn.
     schedule = [(bounce, turn == 0) for bounce in range(len(radiosity)) for turn in range(turns)]
     for step, (bounce, first) in enumerate(schedule):
@@ -432,6 +487,10 @@ def _solve(
             CHUNK,
             threads,
         )
+        if bounce and thrown is not None:
+            if first:
+                last = brings_shine * by_lobes[link]
+            np.maximum(carried - last, _0, out=carried)
         gathered = bounce == row and (step + 1 == len(schedule) or schedule[step + 1][0] > row)
         if gathered:
             halves[:] = summed(carried)
@@ -442,11 +501,15 @@ def _solve(
             total = np.zeros_like(direct)
             add_to_cells(places, carried, total, threads)
         smooth(total, linked, unit, parent, order, likeness)
-        np.add(direct if bounce else soonest, total, out=radiosity[bounce])
+        np.add(later if bounce else soonest, total, out=radiosity[bounce])
         own = (sent if bounce else sent_soonest).copy()
+        if bounce and thrown is not None:
+            own += gained[here].sum(axis=1)
         # What the cells have got in this turn: of links that take no bounce, what they would bring in the next is already there.
         own[brings] += np.einsum("nk->n", carried[brought]) / weight[here & sending]
         _balance(own, seen_cell[looked], root, trust, bounce, radiosity, sums, scale)
+        if thrown is not None:
+            by_lobes = scale * (chained(by_lobes) if thrown.chains else one)
         if gathered:
             for h in range(2):
                 smooth(halves[h], linked_of[h], unit, parent, order, _HALF * likeness)
@@ -454,11 +517,13 @@ def _solve(
                     smooth(through[h], linked_of[h], unit, parent, order, _HALF * likeness)
             first_of[:] = direct_of * clear
             halves += first_of
+            if bounce and thrown is not None:
+                halves += gained_of
             for part in (halves, first_of, through):
                 part *= scale
             for part in (shine, beneath):
                 part *= clear * scale
-    return number_of, order, unit
+    return number_of, order, unit, shone
 
 
 def _half(probes: np.ndarray) -> np.ndarray:
@@ -680,21 +745,14 @@ def _grid(probes: Probes) -> tuple[np.ndarray, float]:
 
 
 def build_light_cache(
-    probes: Probes,
-    bounces: int,
-    seed: int,
-    threads: int = 0,
-    progress: Progress | None = None,
-    *,
-    gathered: int | None = None,
-    later: float = 1.0,
-    relied: float = 0.0,
-    by_view: np.ndarray | None = None,
-    probed_by_view: np.ndarray | None = None,
-    follow: np.ndarray | None = None,
-    mirrors: np.ndarray | None = None,
+    probes: Probes, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None, **settings
 ) -> tuple[LightCache, Links]:
-    """Cells that hold what the probes know of light that left 1 to `bounces` surfaces, and how they hang together.
+    """Cells that hold what the probes know of light that left 1 to `bounces` surfaces, and how they hang together; arguments as of `CacheBuilder`."""
+    return CacheBuilder(probes, bounces, seed, threads, progress, **settings).solve(progress)
+
+
+class CacheBuilder:
+    """Cells around probes, for light that left 1 to `bounces` surfaces: `solve` finds it.
 
     gathered: how many of them the light has left that gather rays look up, None for `bounces`.
     later: what virtual lights carry of light that has left several surfaces, as a part of what they carry of other light.
@@ -706,78 +764,102 @@ def build_light_cache(
         core.threads.Cancelled: `progress` returned False.
     """
 
-    def go_on(done: float) -> None:
-        if progress is not None and not progress(done):
-            raise Cancelled
-
-    n = int(probes.valid.sum())
-    if by_view is None:
-        by_view = np.zeros((1 + int(probes.side.max(initial=0)), VIEWS), np.float32)
-    follow = np.zeros_like(by_view) if follow is None else follow
-    probes = _of_all_views(probes, by_view if probed_by_view is None else probed_by_view)
-    origin, extent = _grid(probes)
-    size = np.float32(cell_size(probes, origin, extent, seed))
-    go_on(0.1)
-    cells = np.zeros((len(probes.valid), LEVELS), np.int32)
-    # Rarely more cells than probes; a table that is no larger than it must be stays in the processor's caches.
-    room, count = max(64, n), -1
-    while count < 0:
-        bits = max(10, int(np.ceil(np.log2(2 * room + 2))))
-        keys, slot = np.zeros(1 << bits, np.uint64), np.full(1 << bits, -1, np.int32)
-        level_of, centre, side_of = np.empty(room, np.uint8), np.empty((room, 6), np.float32), np.empty(room, np.int32)
-        count = _insert(probes, origin, size, np.uint32(seed), keys, slot, cells, level_of, centre, side_of)
-        room *= 2
-    go_on(0.3)
-    level_of, centre, side_of = level_of[:count].copy(), centre[:count].copy(), side_of[:count].copy()
-    radiosity = np.zeros((bounces, count, probes.direct.shape[1]), np.float32)
-    halves, shine, first_of, beneath, through = (np.zeros((2, count, probes.direct.shape[1]), np.float32) for _ in range(5))
-    one = np.float32(1)
-    cache = LightCache(
-        origin, size, keys, slot, radiosity, *(radiosity[0] for _ in range(6)), np.zeros(count, np.float32), one, one,
-        np.ones(count, np.float32), one, radiosity[0, :0], centre, side_of, np.arange(count), radiosity[0], by_view, follow,
-    )  # fmt: skip
-    parent = _parents(cache, level_of, centre, side_of)
-    root = np.arange(count)
-    for _ in range(LEVELS - 1):
-        root = np.where(parent[root] >= 0, parent[root], root)
-    link_cell = np.empty(len(probes.valid), np.int64)
-    run_chunks(lambda begin, end: _links(probes, cache, begin, end, np.uint32(seed), link_cell), len(link_cell), CHUNK, threads)
-    seen_cell = look_up(cache, probes.position, probes.normal, probes.side, seed + 3, threads)
-    go_on(0.4)
-    row = (bounces if gathered is None else gathered) - 1
-    weight = _weights(probes, NEAR * size)
-    looked = (probes.distance > NEAR * size) & _met(probes, mirrors)
-    number_of, order, unit = _solve(
-        probes, cells, link_cell, seen_cell, parent, root, level_of, weight, looked, radiosity, row, halves, shine, first_of, beneath,
-        through, threads, go_on,
-    )  # fmt: skip
-    tau = np.float32(max(seen_light(cache, probes, seed + 1), 1e-30))
-    half, bright = _half(np.arange(len(probes.valid))), np.zeros((2, count), np.float32)
-    for h in range(2):
-        _brightness(
-            probes, half != h, cells, link_cell, parent, level_of, np.float32(BRIGHT_PRIOR), radiosity, bright[h], np.zeros(count, np.float32)
+    def __init__(
+        self,
+        probes: Probes,
+        bounces: int,
+        seed: int,
+        threads: int = 0,
+        progress: Progress | None = None,
+        *,
+        gathered: int | None = None,
+        later: float = 1.0,
+        relied: float = 0.0,
+        by_view: np.ndarray | None = None,
+        probed_by_view: np.ndarray | None = None,
+        follow: np.ndarray | None = None,
+        mirrors: np.ndarray | None = None,
+    ):
+        n = int(probes.valid.sum())
+        if by_view is None:
+            by_view = np.zeros((1 + int(probes.side.max(initial=0)), VIEWS), np.float32)
+        follow = np.zeros_like(by_view) if follow is None else follow
+        self.probes = probes = _of_all_views(probes, by_view if probed_by_view is None else probed_by_view)
+        self.seed, self.threads = seed, threads
+        self.row = (bounces if gathered is None else gathered) - 1
+        self.relied = np.float32(relied)
+        self.later = np.float32(later + relied * (1 - later))
+        origin, extent = _grid(probes)
+        size = np.float32(cell_size(probes, origin, extent, seed))
+        go_on(progress, 0.1)
+        cells = np.zeros((len(probes.valid), LEVELS), np.int32)
+        # Rarely more cells than probes; a table that is no larger than it must be stays in the processor's caches.
+        room, count = max(64, n), -1
+        while count < 0:
+            bits = max(10, int(np.ceil(np.log2(2 * room + 2))))
+            keys, slot = np.zeros(1 << bits, np.uint64), np.full(1 << bits, -1, np.int32)
+            level_of, centre, side_of = np.empty(room, np.uint8), np.empty((room, 6), np.float32), np.empty(room, np.int32)
+            count = _insert(probes, origin, size, np.uint32(seed), keys, slot, cells, level_of, centre, side_of)
+            room *= 2
+        go_on(progress, 0.3)
+        self.level_of, centre, side_of = level_of[:count].copy(), centre[:count].copy(), side_of[:count].copy()
+        self.cells = cells
+        dark, one = np.zeros((bounces, count, probes.direct.shape[1]), np.float32), np.float32(1)
+        self.empty = LightCache(
+            origin, size, keys, slot, dark, *(dark[0] for _ in range(6)), np.zeros(count, np.float32), one, self.later,
+            np.ones(count, np.float32), one, one, dark[0, :0], dark[0, :0], centre, side_of, np.arange(count), dark[0], by_view, follow,
         )  # fmt: skip
-    number = number_of.sum(axis=0)
-    counts = number_of / np.maximum(number, np.float32(1e-6))
-    later += relied * (1 - later)
-    sent, lit, thrown, reflected, share = divided(
-        halves, shine, first_of, beneath, through, counts, bright, number, tau, parent, np.float32(later), np.float32(relied)
-    )
-    links = Links(cells, link_cell, weight, thrown, reflected, parent, order, unit)
-    first = np.maximum(0, np.einsum("hc,hck->ck", counts, first_of) - thrown)
-    return cache._replace(
-        sent=sent,
-        lit=lit,
-        dull=sent,
-        matte=sent,
-        matte_lit=lit,
-        lobes=0 * sent,
-        share=share,
-        tau=tau,
-        later=np.float32(later),
-        root=root,
-        first=first,
-    ), links
+        self.parent = _parents(self.empty, self.level_of, centre, side_of)
+        root = np.arange(count)
+        for _ in range(LEVELS - 1):
+            root = np.where(self.parent[root] >= 0, self.parent[root], root)
+        self.empty = self.empty._replace(root=root)
+        self.link_cell = np.empty(len(probes.valid), np.int64)
+        run_chunks(
+            lambda begin, end: _links(probes, self.empty, begin, end, np.uint32(seed), self.link_cell), len(self.link_cell), CHUNK, threads
+        )
+        self.seen_cell = look_up(self.empty, probes.position, probes.normal, probes.side, seed + 3, threads)
+        self.weight = _weights(probes, NEAR * size)
+        self.looked = (probes.distance > NEAR * size) & _met(probes, mirrors)
+        self.shared: tuple[np.float32, np.ndarray] | None = None  # tau, and how bright cells are, by which light was divided first
+        go_on(progress, 0.4)
+
+    def solve(self, progress: Progress | None = None, thrown: Thrown | None = None) -> tuple[LightCache, Links]:
+        """The cache, and how its cells hang together; a second time with what is `thrown`, divided between lights and rays as the first time."""
+        probes, empty, parent = self.probes, self.empty, self.parent
+        radiosity = np.zeros_like(empty.radiosity)
+        halves, shine, first_of, beneath, through = (np.zeros((2, *radiosity.shape[1:]), np.float32) for _ in range(5))
+        number_of, order, unit, shone = _solve(
+            probes, self.cells, self.link_cell, self.seen_cell, parent, empty.root, self.level_of, self.weight, self.looked, radiosity, self.row,
+            halves, shine, first_of, beneath, through, thrown, self.threads, lambda done: go_on(progress, done),
+        )  # fmt: skip
+        cache = empty._replace(radiosity=radiosity)
+        if self.shared is None:
+            tau = np.float32(max(seen_light(cache, probes, self.seed + 1), 1e-30))
+            half, bright = _half(np.arange(len(probes.valid))), np.zeros((2, len(parent)), np.float32)
+            for h in range(2):
+                _brightness(
+                    probes, half != h, self.cells, self.link_cell, parent, self.level_of, np.float32(BRIGHT_PRIOR), radiosity, bright[h],
+                    np.zeros(len(parent), np.float32),
+                )  # fmt: skip
+            self.shared = tau, bright
+        tau, bright = self.shared
+        number = number_of.sum(axis=0)
+        counts = number_of / np.maximum(number, np.float32(1e-6))
+        sent, lit, shine, reflected, share = divided(
+            halves, shine, first_of, beneath, through, counts, bright, number, tau, parent, self.later, self.relied
+        )
+        first = np.maximum(0, np.einsum("hc,hck->ck", counts, first_of) - shine)
+        links = Links(self.cells, self.link_cell, self.weight, shine, shone, reflected, parent, order, unit)
+        return cache._replace(
+            sent=sent, lit=lit, dull=sent, matte=sent, matte_lit=lit, lobes=0 * sent, share=share, tau=tau, first=first
+        ), links
+
+
+def go_on(progress: Progress | None, done: float) -> None:
+    """Raises `Cancelled` where `progress` says so."""
+    if progress is not None and not progress(done):
+        raise Cancelled
 
 
 def _of_all_views(probes: Probes, by_view: np.ndarray) -> Probes:

@@ -114,11 +114,10 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, points
         probes.side[probe] = side
         probes.position[probe, 0], probes.position[probe, 1], probes.position[probe, 2] = x, y, z
         probes.normal[probe, 0], probes.normal[probe, 1], probes.normal[probe, 2] = gx, gy, gz
-        if vertex == 0:
-            probes.error[probe] = error
-            lit = mean_shadowing(surface[TILT])
-            r, g, b = diffuse_albedo(surface, lobe_cosine(sx, sy, sz, gx, gy, gz, -dx, -dy, -dz))
-            probes.albedo[probe, 0], probes.albedo[probe, 1], probes.albedo[probe, 2] = lit * r, lit * g, lit * b
+        probes.error[probe] = error
+        lit = mean_shadowing(surface[TILT])
+        r, g, b = diffuse_albedo(surface, lobe_cosine(sx, sy, sz, gx, gy, gz, -dx, -dy, -dz))
+        probes.albedo[probe, 0], probes.albedo[probe, 1], probes.albedo[probe, 2] = lit * r, lit * g, lit * b
         mirrored = _0 if encloses(scene.materials.flags[scene.material[triangle]], behind) else _1
         tx, ty, tz, r, g, b, kinds, _ = scatter_light(
             scene, packet, rows, surface, lobe, triangle, x, y, z, error, gx, gy, gz, sx, sy, sz, -dx, -dy, -dz, entered, LAMP_RAYS, True, 0, seed, path, at,

@@ -51,7 +51,7 @@ from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
 from ..threads import run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints, is_transmitting
-from .light_cache import LightCache, add_known, find_cell, no_cache
+from .light_cache import LightCache, add_known, find_cell, no_cache, take_shone
 
 CHUNK = 1024  # points a chunk
 _0 = np.float32(0.0)
@@ -242,7 +242,7 @@ def _add_gain(scene, surface, cache, on, x, y, z, gx, gy, gz, cosine, seed, path
 @leaf
 def path_light(
     scene, packet, rows, surface, lobe, cache, near, on, x, y, z, error, gx, gy, gz, sx, sy, sz, wx, wy, wz, entered, bounces, follows, seed, path,
-    out, i, kr, kg, kb, own, sheen, whole, last, relied, reach, for_view,
+    out, i, kr, kg, kb, own, sheen, whole, last, relied, reach, for_view, chained,
 ):  # fmt: skip
     """Adds one sample of pi times the radiance that a surface sends towards w, weighed by k, to row i of `out`.
 
@@ -253,10 +253,12 @@ def path_light(
     own: how much of the lamps' light that the first surface reflects counts, 0 for no shadow ray, sheen: of that which it reflects as a glossy one,
     whole: of that which comes from below its facet.  last: of all light that has left as many surfaces as it may.  relied, reach: of the first surface.
     for_view: whether the first surface was evaluated for w.
+    chained: how much of the lamps' light counts that lobes reflect to which others have led, 0 or 1.
     out: (N, 3 G) float32 W/m^2, three columns for each light group.
     """
     wr = wg = wb = _1
     left = bounces - 1
+    by_lobes = _1  # of what the lobes met now show of the lamps: `chained` for as long as lobes alone have led there
     mirrored = _1
     for vertex in range(bounces + _MORE_SURFACES):
         at = vertex * DIMENSIONS
@@ -264,7 +266,7 @@ def path_light(
             cosine = lobe_cosine(sx, sy, sz, gx, gy, gz, wx, wy, wz)
             _add_gain(scene, surface, cache, on, x, y, z, gx, gy, gz, cosine, seed, path, at, kr * wr, kg * wg, kb * wb, out, i)
         first = own if vertex == 0 else _1
-        shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored
+        shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored * by_lobes
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1
         carried = relied if vertex == 0 else _0
         towards = np.int64(2) if for_view and vertex == 0 else np.int64(1)
@@ -279,6 +281,9 @@ def path_light(
             left -= 1
         if kinds != GLOSSY:
             entered = OUTSIDE
+        if vertex > 0:
+            beyond *= mirrored * by_lobes
+        by_lobes = chained if kinds == GLOSSY and (vertex == 0 or by_lobes < _1) else _1
         wr, wg, wb = wr * tr, wg * tg, wb * tb
         if vertex == 0 and kinds == GLOSSY:  # lights carry none of what lobes reflect of other surfaces, but all that comes through
             wr, wg, wb = whole * wr, whole * wg, whole * wb
@@ -287,7 +292,6 @@ def path_light(
         elif kinds == DIFFUSE and left == 0:
             wr, wg, wb = last * wr, last * wg, last * wb
         if vertex > 0:  # russian roulette by what the path still carries
-            beyond *= mirrored
             go_on = min(np.float32(0.95), max(wr, wg, wb))
             if uniform(seed, path, at, 5) >= go_on:
                 break
@@ -326,6 +330,8 @@ def path_light(
                         out[i, c] += more * kr * wr * (cache.radiosity[left, cell, c] - cache.radiosity[left - 1, cell, c])
                         out[i, c + 1] += more * kg * wg * (cache.radiosity[left, cell, c + 1] - cache.radiosity[left - 1, cell, c + 1])
                         out[i, c + 2] += more * kb * wb * (cache.radiosity[left, cell, c + 2] - cache.radiosity[left - 1, cell, c + 2])
+                if by_lobes < _1:
+                    take_shone(cache, cell, kr * wr, kg * wg, kb * wb, out, i)
                 break
         wx, wy, wz = -dx, -dy, -dz
 
@@ -359,7 +365,7 @@ def _tail_chunk(scene, cache, near, points, further, begin, end, bounces, seed, 
             scene, packet, rows, surface, lobe, cache, near, points.triangle[i], points.position[i, 0], points.position[i, 1], points.position[i, 2],
             points.error[i], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.ns[i, 0], points.ns[i, 1], points.ns[i, 2],
             points.wo[i, 0], points.wo[i, 1], points.wo[i, 2], np.int64(points.entered[i]), most, False, seed, np.uint32(i),
-            out, i, weight, weight, weight, _1, _1, _1, _1, _0, _1, True,
+            out, i, weight, weight, weight, _1, _1, _1, _1, _0, _1, True, _1,
         )  # fmt: skip
 
 

@@ -11,28 +11,23 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel
-from ..threads import run_chunks
-from .light_cache import CHUNK, DEPTH, DIFFUSE_LINK, PRIOR, LightCache, Links, Probes, add_to_cells, carry_over, smooth
+from ..references import Reference
+from .light_cache import DEPTH, DIFFUSE_LINK, PRIOR, CacheBuilder, LightCache, Links, Probes, Thrown, add_to_cells, smooth
 
 LITTLE = 0.01  # of the light that links carry: below it the direction of what lobes reflect is not worth a ray
-ENOUGH = 32768  # probes that get a ray: their cells and those around them share what they find
+ENOUGH = 65536  # probes that get a ray: their cells and those around them share what they find
 # Times the mean around it, by the coarsest cells: what a link tells beyond that is a spark, which is spread over all around.
 BRIGHT = np.float32(8.0)
 FEW = 16  # probes, of which no mean is told
-FARTHEST = 4  # bounces after which what the direction changes is told by the bounce before
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
 
 @kernel
-def _linked(probes, first, links, trust, g_max, by_photons, carried):
-    """Of each probe first[i] (P,) into row i of `carried` (P, 3 G), W/m^2: light that has come from lobes over its link.
-
-    All of it `by_photons`, else as far as virtual lights have it.
-    """
-    for i in range(len(first)):
-        p = first[i]
-        cell = links.link_cell[p]
+def _parts(probes, link_cell, trust, g_max, by_photons, part):
+    """Of the light from lobes that comes over the links of N probes the part that is thrown, (N,): all `by_photons`, else as far as lights have it."""
+    for p in range(len(link_cell)):
+        cell = link_cell[p]
         if cell < 0 or probes.link[p] != DIFFUSE_LINK:
             continue
         dx, dy, dz = (
@@ -43,10 +38,7 @@ def _linked(probes, first, links, trust, g_max, by_photons, carried):
         here = probes.normal[p, 0] * dx + probes.normal[p, 1] * dy + probes.normal[p, 2] * dz
         there = probes.link_normal[p, 0] * dx + probes.link_normal[p, 1] * dy + probes.link_normal[p, 2] * dz
         r2 = dx * dx + dy * dy + dz * dz
-        part = _1 if by_photons else trust[cell] * min(_1, g_max * r2 * r2 / max(abs(here * there), np.float32(1e-30)))
-        for c in range(0, carried.shape[1], 3):
-            for k in range(3):
-                carried[i, c + k] = part * probes.carry[p, k] * links.shine[cell, c + k]
+        part[p] = _1 if by_photons else trust[cell] * min(_1, g_max * r2 * r2 / max(abs(here * there), np.float32(1e-30)))
 
 
 def throwing(probes: Probes, links: Links, cache: LightCache) -> np.ndarray:
@@ -64,17 +56,17 @@ def throwing(probes: Probes, links: Links, cache: LightCache) -> np.ndarray:
     )
     if not shine > LITTLE * whole:
         return none
-    first = first[probes.valid[first] > 0]
-    return first[:: -(-len(first) // ENOUGH)]
+    known = np.flatnonzero(probes.valid)
+    return known[:: -(-len(known) // ENOUGH) | 1]  # odd: first and second probes of paths
 
 
 def shine_share(probes: Probes, links: Links, cache: LightCache) -> float:
-    """The part of what visible points get of other surfaces which lobes reflect of the lamps, spread as by diffuse ones."""
+    """The part of what visible points get of other surfaces which lobes, one or several, reflect of the lamps, spread as by diffuse ones."""
     if not len(cache.share) or not links.shine.any():
         return 0.0
     first = np.arange(0, len(probes.valid), DEPTH)
     cells = links.cells[first[probes.valid[first] > 0], 0]
-    shine, whole = (float(_grey(light)[cells].sum(dtype=np.float64)) for light in (links.shine, cache.radiosity[-1]))
+    shine, whole = (float(_grey(light)[cells].sum(dtype=np.float64)) for light in (links.shone, cache.radiosity[-1]))
     return shine / whole if whole > 0 else 0.0
 
 
@@ -112,53 +104,39 @@ def without_sparks(light: np.ndarray, weight: np.ndarray, around: np.ndarray) ->
     return (kept * light + np.stack(shares, axis=1) + afar).astype(np.float32)
 
 
-def _reflected(probes: Probes, links: Links, more: np.ndarray, bounces: int, threads: int) -> np.ndarray:
-    """By how much cells send more after each bounce (B, C, 3 G), where the second surface sends `more` (C, 3 G)."""
-    rows = np.zeros((bounces, *more.shape), np.float32)
-    rows[1:] = more
-    known = np.flatnonzero((probes.valid > 0) & (links.link_cell != -1))
-    weight, free = links.weight[known, None], probes.link[known] != DIFFUSE_LINK
-    link, carry = np.maximum(links.link_cell[known], 0), np.where(links.link_cell[known, None] >= 0, weight * probes.carry[known], _0)
-    carried = np.empty((len(known), more.shape[1]), np.float32)
-    for bounce in range(2, min(bounces, FARTHEST)):
-
-        def work(begin: int, end: int, bounce: int = bounce) -> None:
-            carry_over(link, carry, free, rows, bounce, begin, end, carried)
-
-        run_chunks(work, len(known), CHUNK, threads)
-        rows[bounce:] = more + _spread_over(links, known, carried, weight, threads)
-    return rows
-
-
 def redirected(
+    builder: CacheBuilder,
     cache: LightCache,
-    probes: Probes,
     links: Links,
-    first: np.ndarray,
+    rows: np.ndarray,
     irradiance: np.ndarray,
     g_max: np.float32,
-    bounces: int,
     threads: int = 0,
     *,
     by_photons: bool = False,
-) -> LightCache:
-    """The cache with what lobes throw on the probes `first` (P,) where it falls.
+) -> tuple[LightCache, Links]:
+    """The cache with what lobes throw on the probes `rows` (P,) where it falls, and its links.
 
-    irradiance: (P, 3 G) W/m^2, by virtual lights that stand for lamps' light that lobes reflect, or `by_photons`.  g_max: the clamp of the lights'
-    geometry term.
-    bounces: surfaces that the light has left which gather rays look up, at most.
+    builder: what has made the cache and its `links`.  irradiance: (P, 3 G) W/m^2, by virtual lights that stand for lamps' light that lobes reflect, or
+    `by_photons`: these know what several lobes have reflected, one after the other, too.  g_max: the clamp of the lights' geometry term.
     """
-    groups = irradiance.shape[1] // 3
-    carried = np.zeros_like(irradiance)
-    _linked(probes, first, links, cache.trust, g_max, by_photons, carried)
-    albedo, weight = np.tile(probes.albedo[first], groups), links.weight[first, None]
-    # What cells reflect of it, and the irradiance itself, which is added to what paths find: those that meet no spark must not lack its light.
-    told = without_sparks(np.divide(carried, albedo, out=np.zeros_like(carried), where=albedo > 0), weight[:, 0], links.cells[first, -1])
-    gains = [albedo * irradiance - carried, irradiance - told]
-    found = _spread_over(links, first, weight * np.hstack(gains), weight, threads)
-    more, gain = np.hsplit(found, 2)
-    rows = _reflected(probes, links, np.ascontiguousarray(more), len(cache.radiosity), threads)
-    radiosity = np.maximum(_0, cache.radiosity + rows)
-    more = np.maximum(rows[bounces - 1], -cache.sent)
-    lit = np.maximum(_0, cache.lit + cache.later * cache.share[:, None] * more)
-    return cache._replace(radiosity=radiosity, sent=cache.sent + more, dull=cache.dull + more, lit=lit, gain=np.ascontiguousarray(gain))
+    probes = builder.probes
+    part = np.zeros(len(probes.valid), np.float32)
+    _parts(Reference(probes), links.link_cell, cache.trust, g_max, by_photons, part)
+    weight = links.weight[rows, None]
+    irradiance_of = _spread_over(links, rows, weight * irradiance, weight, threads)
+    new, others = builder.solve(thrown=Thrown(irradiance_of, part, by_photons))
+    # The irradiance itself is added to what paths find, less what their own links tell: those that meet no spark must not lack its light.
+    shine, groups = links.shine, links.shine.shape[1] // 3
+    albedo = np.tile(probes.albedo[rows], groups)
+    told = (
+        part[rows, None]
+        * np.tile(probes.carry[rows], groups)
+        * (links.shone if by_photons else shine)[np.maximum(links.link_cell[rows], 0)]
+    )
+    told = without_sparks(np.divide(told, albedo, out=np.zeros_like(told), where=albedo > 0), weight[:, 0], links.cells[rows, -1])
+    gain = _spread_over(links, rows, weight * (irradiance - told), weight, threads)
+    lit, dull = cache.trust[:, None] * new.lit, new.sent
+    if by_photons:
+        lit, dull = np.maximum(_0, lit - cache.trust[:, None] * shine), np.maximum(_0, dull - links.shone)
+    return cache._replace(radiosity=new.radiosity, sent=new.sent, dull=dull, lit=lit, gain=np.ascontiguousarray(gain)), others

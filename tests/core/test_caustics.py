@@ -250,6 +250,7 @@ def test_what_lobes_reflect_is_the_light_of_the_virtual_lights(build, wide):
     with ExitStack() as stack:
         scene = tables_of(build, stack, below, above, *sides, *sheet, lamps=lamp, materials=stuff, of_last=int(wide))
         photons, _ = trace_photons(scene, np.float32([(-2, -2, 0), (2, 2, 2)]), 20000, 1 << 17, 4, seed=1, threads=2, lobes=True)
+        photons = photons.take(photons.lobes == 1)
         vpls, _ = trace_by_power(scene, 1 << 15, 1, seed=2)
     shines = vpls.take(vpls.shine == SHINE)
     along = np.einsum("nk,nk->n", shines.normal, shines.surface_normal)
@@ -303,8 +304,46 @@ def test_wide_lobes_have_photons_where_these_light_more_than_crumbs(build, leave
         stuff = build.glossy_materials((0.5, 0.5), albedo=0.3, roughness=roughness)
         scene = tables_of(build, stack, cards, *([] if leaves else [wall]), lamps=lamp, materials=stuff)
         points = np.float32([(-1, -1, 0.2), (1, 1, 1.8)] if leaves else [(-2, -2, 0), (2, 2, 2)])
-        found, _ = by_lobes(scene, points, 0.3, 0.0, 4096, 4, seed=1, threads=2)
+        found, _, _ = by_lobes(scene, points, 0.3, 0.0, 4096, 4, seed=1, threads=2)
     assert (found is not None) == photons
+
+
+def test_light_leaves_a_polished_can_by_several_lobes(build):
+    """A lamp in a box that mirrors, open below.  In a row of such boxes, each its neighbours' mirror image, a ray is straight: how many walls it meets is
+    known, and how much is left of it."""
+    floor = build.quads([(-9, -9, -4), (9, -9, -4), (9, 9, -4), (-9, 9, -4)])
+    ceiling = build.quads([(-9, -9, 9), (-9, 9, 9), (9, 9, 9), (9, -9, 9)])
+    walls = [
+        build.quads([(-9, -9, -4), (-9, -9, 9), (9, -9, 9), (9, -9, -4)]),
+        build.quads([(9, 9, -4), (9, 9, 9), (-9, 9, 9), (-9, 9, -4)]),
+        build.quads([(-9, 9, -4), (-9, 9, 9), (-9, -9, 9), (-9, -9, -4)]),
+        build.quads([(9, -9, -4), (9, -9, 9), (9, 9, 9), (9, 9, -4)]),
+    ]
+    can = build.quads(
+        [(-1, -1, 1), (-1, 1, 1), (1, 1, 1), (1, -1, 1)],
+        [(-1, -1, -1), (-1, -1, 1), (1, -1, 1), (1, -1, -1)],
+        [(1, 1, -1), (1, 1, 1), (-1, 1, 1), (-1, 1, -1)],
+        [(-1, 1, -1), (-1, 1, 1), (-1, -1, 1), (-1, -1, -1)],
+        [(1, -1, -1), (1, -1, 1), (1, 1, 1), (1, 1, -1)],
+    )
+    stuff = build.glossy_materials((0.5, 0.0), (0.0, 0.0), albedo=0.0, roughness=0.05)
+    stuff.tables.constant[0, GLOSSY_F0 : GLOSSY_F0 + 3] = stuff.tables.constant[0, GLOSSY_F90 : GLOSSY_F90 + 3] = 0
+    stuff.tables.flags[0] &= ~sc.GLOSSY_LOBE
+    stuff.tables.constant[1, GLOSSY_F0 : GLOSSY_F0 + 3] = stuff.tables.constant[1, GLOSSY_F90 : GLOSSY_F90 + 3] = 0.8
+    lamp = build.lamps(build.lamp(sc.POINT, 5.0, position=(0, 0, 0), radius=0.1))
+    with ExitStack() as stack:
+        scene = tables_of(build, stack, floor, ceiling, *walls, can, lamps=lamp, materials=stuff, of_last=1)
+        lit, _ = trace_by_power(tables_of(build, stack, floor, ceiling, *walls, lamps=lamp, materials=stuff), 1 << 14, 1, seed=2)
+        power = lit.flux[:, 1].sum() / 0.5
+        photons, _ = trace_photons(scene, np.float32([(-9, -9, -4), (9, 9, 9)]), 20000, 1 << 17, 4, seed=1, threads=2, lobes=True)
+    assert (np.abs(photons.position).max(axis=1) > 3.9).all()  # none is told of within
+    several = photons.flux[photons.lobes > 1, 1].sum() / photons.flux[:, 1].sum()
+    dx, dy, dz = np.random.default_rng(1).normal(size=(3, 200000))
+    down = np.where(dz < 0, 1, 3) / np.abs(dz)
+    met = (np.abs(dx) * down + 1) // 2 + (np.abs(dy) * down + 1) // 2 + (dz > 0)
+    left = np.where(met > 0, 0.8**met, 0)
+    assert several == pytest.approx(left[met > 1].sum() / left.sum(), abs=0.02)
+    assert photons.flux[:, 1].sum() == pytest.approx(power * left.mean(), rel=0.02)
 
 
 def test_small_pictures_have_fewer_photons(build):

@@ -470,7 +470,7 @@ def test_floor_at_the_foot_of_a_polished_wall_gets_what_the_wall_throws(build, m
     scene = build.scene(quads, materials, world=(1, 1, 1))
     at = np.random.default_rng(2).uniform((-1, -0.5, 0), (1, -0.02, 0), (512, 3)).astype(np.float32)
     points = points_at(at, np.float32([[0, 0, 1]]), error=1e-6)
-    monkeypatch.setattr("lumigate.core.methods.importance_sampling.by_lobes", lambda *_: (None, 0))
+    monkeypatch.setattr("lumigate.core.methods.importance_sampling.by_lobes", lambda *_: (None, None, 0))
     light = []
     with RayScene(quads.vertices, quads.triangles) as rays:
         tables = transport(quads, materials.tables, rays.tables, build_emitters(scene))

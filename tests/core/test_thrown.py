@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lumigate.core.methods.light_cache import DEPTH, DIFFUSE_LINK, Probes, build_light_cache
+from lumigate.core.methods.light_cache import DEPTH, DIFFUSE_LINK, GLOSSY_LINK, CacheBuilder, Probes, build_light_cache
 from lumigate.core.methods.thrown import FEW, redirected, throwing, without_sparks
 
 ALBEDO, SHINE = 0.5, 0.4
@@ -28,23 +28,24 @@ def facing_planes(n=4000):
 
 @pytest.fixture(scope="module")
 def planes():
-    """(probes, rows of the first ones, which of them lie on the upper plane, cache, links)."""
+    """(probes, rows of the first ones, which of them lie on the upper plane, cache, links, what has made these)."""
     probes, first, upper = facing_planes()
-    return probes, first, upper, *build_light_cache(probes, 4, seed=1)
+    builder = CacheBuilder(probes, 4, seed=1)
+    return probes, first, upper, *builder.solve(), builder
 
 
 def sent_by(planes, radiosity):
     """What the finest cells around the probes of the upper plane send after each bounce (B, N), and the x of the probes."""
-    probes, first, upper, _, links = planes
+    probes, first, upper, _, links, _ = planes
     return radiosity[:, links.cells[first[upper], 0], 0], probes.position[first[upper], 0]
 
 
 def test_light_that_falls_evenly_stays_as_it_was(planes):
-    probes, first, upper, cache, links = planes
+    probes, first, upper, cache, links, builder = planes
     rows = throwing(probes, links, cache)
-    np.testing.assert_array_equal(rows, first)
+    np.testing.assert_array_equal(rows, first)  # of the others none is valid
     irradiance = np.where(upper, SHINE, 0.0)[:, None].repeat(3, axis=1).astype(np.float32)
-    found = redirected(cache, probes, links, rows, irradiance, HUGE, 4)
+    found, _ = redirected(builder, cache, links, rows, irradiance, HUGE)
     np.testing.assert_allclose(found.radiosity, cache.radiosity, rtol=1e-4)
     np.testing.assert_allclose(found.sent, cache.sent, rtol=1e-4)
     np.testing.assert_allclose(found.lit, cache.lit, rtol=1e-4)
@@ -53,9 +54,9 @@ def test_light_that_falls_evenly_stays_as_it_was(planes):
 
 def test_light_falls_where_it_is_thrown_and_is_reflected_on(planes):
     # All of it on the half x > .5 of the upper plane, which sends twice as much of it; the lower plane, right below, hears of it a bounce later.
-    probes, first, upper, cache, links = planes
+    probes, first, upper, cache, links, builder = planes
     irradiance = np.where(upper & (probes.position[first, 0] > 0.5), 2 * SHINE, 0.0)[:, None].repeat(3, axis=1).astype(np.float32)
-    found = redirected(cache, probes, links, first, irradiance, HUGE, 4)
+    found, _ = redirected(builder, cache, links, first, irradiance, HUGE)
     sent, x = sent_by(planes, found.radiosity)
     before, _ = sent_by(planes, cache.radiosity)
     bright, dark = x > 0.6, x < 0.4
@@ -69,11 +70,36 @@ def test_light_falls_where_it_is_thrown_and_is_reflected_on(planes):
     assert found.sent.mean() == pytest.approx(cache.sent.mean(), rel=0.01)
 
 
+@pytest.mark.parametrize("several", [False, True])
+def test_light_of_few_bright_lobes_is_taken_whole(several):
+    """A fiftieth of the lower plane has all of it: no cell above can lack as much as its few links tell, in place of light that falls evenly.
+
+    Of `several` lobes in turn, half of the probes of the lower plane show the other half by glossy links.
+    """
+    probes, first, upper = facing_planes(20000)
+    bright = probes.position[first, 0] < 0.02
+    probes.shine[first], probes.direct[first] = np.where(upper | ~bright, 0.0, 50 * SHINE)[:, None], np.where(upper, 0.0, 0.2)[:, None]
+    probes.direct[first] += probes.shine[first]
+    mirrors = np.flatnonzero(~upper & (np.arange(len(first)) % 2 == 0)) if several else np.zeros(0, np.int64)
+    rows = first[mirrors]
+    probes.link[rows], probes.carry[rows] = GLOSSY_LINK, 0.5
+    probes.link_position[rows], probes.link_normal[rows] = probes.position[rows], probes.normal[rows]
+    builder = CacheBuilder(probes, 4, seed=1)
+    cache, links = builder.solve()
+    sent = float(links.shone[links.link_cell[first[upper]], 0].mean())
+    assert sent == pytest.approx(SHINE / (1 - 0.25) if several else SHINE, rel=0.1)  # half of the probes, half of the light
+    irradiance = np.where(upper, sent, 0.0)[:, None].repeat(3, axis=1).astype(np.float32)
+    found, _ = redirected(builder, cache, links, first, irradiance, HUGE, by_photons=True)
+    cells = links.cells[first[upper], 0]
+    assert found.sent[cells].mean() == pytest.approx(cache.sent[cells].mean(), rel=0.03)
+    assert found.sent[cells].std() < 0.3 * cache.sent[cells].std()
+
+
 def test_what_lights_do_not_carry_stays_with_the_links(planes):
     # A clamp of the geometry term at a quarter of what it is between the planes: lights have a quarter, as irradiance has.
-    probes, first, upper, cache, links = planes
+    _, first, upper, cache, links, builder = planes
     irradiance = np.where(upper, SHINE / 4, 0.0)[:, None].repeat(3, axis=1).astype(np.float32)
-    found = redirected(cache, probes, links, first, irradiance, np.float32(0.25), 4)
+    found, _ = redirected(builder, cache, links, first, irradiance, np.float32(0.25))
     np.testing.assert_allclose(found.radiosity, cache.radiosity, rtol=1e-4)
 
 
@@ -106,20 +132,19 @@ def test_a_spark_among_links_takes_no_light_from_the_paths_around():
 
 def test_a_spark_in_one_cell_does_not_blacken_the_paths_that_end_beside_it(planes):
     """Without spreading it, one cell of a hundred times the light is taken from them whole: -34."""
-    probes, first, upper, cache, links = planes
+    _, first, upper, cache, links, builder = planes
     cell = links.link_cell[first[upper]][0]
     shine = links.shine.copy()
     shine[cell] *= 100.0
     gains = [
         redirected(
+            builder,
             cache,
-            probes,
             links._replace(shine=told),
             first,
             np.where(upper, SHINE, 0.0).astype(np.float32)[:, None] * np.ones(3, np.float32),
             HUGE,
-            4,
-        ).gain
+        )[0].gain
         for told in (links.shine, shine)
     ]
     assert gains[0].min() > -0.5
