@@ -68,7 +68,7 @@ MUCH, LEAST_PART = 0.2, 0.125
 # and other small things photons are noisier than virtual lights.
 LEAST_MET, LOOKED_AT = 0.25, 1024
 # Of those that several lobes have reflected: fewer neighbours tell nothing, and a smaller part of the light is left out.
-FEWEST_AGAIN, LITTLE = 8, 0.002
+FEWEST_AGAIN, LITTLE = 8, 0.005
 MANY = 4  # times as many photons as neighbours, at least: fewer tell nothing
 LOOKS = 32  # of the photons by lobes around it that each point looks at: its own noise is the denoiser's
 FEW_LOOKS = 0.5  # root of the least part of these, where they bring little

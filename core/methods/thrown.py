@@ -14,7 +14,7 @@ from ..jit import kernel
 from ..references import Reference
 from .light_cache import DEPTH, DIFFUSE_LINK, PRIOR, CacheBuilder, LightCache, Links, Probes, Thrown, add_to_cells, smooth
 
-LITTLE = 0.01  # of the light that links carry: below it the direction of what lobes reflect is not worth a ray
+LITTLE = 0.02  # of the light that links carry: below it the direction of what lobes reflect is not worth a ray
 ENOUGH = 65536  # probes that get a ray: their cells and those around them share what they find
 # Times the mean around it, by the coarsest cells: what a link tells beyond that is a spark, which is spread over all around.
 BRIGHT = np.float32(8.0)
@@ -125,7 +125,7 @@ def redirected(
     _parts(Reference(probes), links.link_cell, cache.trust, g_max, by_photons, part)
     weight = links.weight[rows, None]
     irradiance_of = _spread_over(links, rows, weight * irradiance, weight, threads)
-    new, others = builder.solve(thrown=Thrown(irradiance_of, part, by_photons))
+    new, others = builder.solve(thrown=Thrown(irradiance_of, links.shone if by_photons else links.shine, part))
     # The irradiance itself is added to what paths find, less what their own links tell: those that meet no spark must not lack its light.
     shine, groups = links.shine, links.shine.shape[1] // 3
     albedo = np.tile(probes.albedo[rows], groups)
