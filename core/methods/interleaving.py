@@ -1,6 +1,6 @@
-"""Interleaved sampling: the pixels of a block of I x I each have a share of the VPLs of their own.
+"""Interleaved sampling: pixels of a picture that share what they find, where they show one surface.
 
-Keller & Heidrich 2001; Segovia et al. 2006; as in Dong et al. 2009, Section 6.  Every window of I x I pixels holds each share once.
+Keller & Heidrich 2001; Segovia et al. 2006; as in Dong et al. 2009, Section 6.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ LARGEST = 8  # I at most
 ALPHA = 0.1  # of the scene's extent: points farther apart have nothing to do with each other (Laine et al. 2007)
 BETA = 0.8  # least cosine of their normals
 PLANE = 0.1  # sine of the angle by which a chord may lie off the tangent of a round surface
-TILE = 64  # pixels along the edge of the area from which points with one residue are lit together
-TOGETHER = 128  # such points at most
 CHUNK = 4096  # points blurred in one piece of work
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -29,81 +27,20 @@ class Pixels(NamedTuple):
     """Which of N points a picture's pixels show.
 
     interleave: I.  width: pixels of a row.  order: (N,) int32, points by pixel.  first: (P + 1,) int32: the points
-    order[first[p]..first[p + 1] - 1] are in pixel p.  across, down: (I * I,) int64, column and row in a block of the pixel that has each share.
+    order[first[p]..first[p + 1] - 1] are in pixel p.
     """
 
     interleave: int
     width: int
     order: np.ndarray
     first: np.ndarray
-    across: np.ndarray
-    down: np.ndarray
-
-
-class Batches(NamedTuple):
-    """Pairs of a point and a share of the VPLs, in batches of one share.
-
-    point: (P,) int32.  first: (B + 1,) int64, borders of the batches.  share: (B,) int32.
-    """
-
-    point: np.ndarray
-    first: np.ndarray
-    share: np.ndarray
 
 
 def pixels_of(points: ShadingPoints, width: int, interleave: int) -> Pixels:
     """The points of each pixel of a picture that is `width` pixels wide."""
     counts = np.bincount(points.pixel)
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-    return Pixels(interleave, width, radix_order(points.pixel.astype(np.int64)), first, *_offsets(interleave))
-
-
-def shares_of_residues(interleave: int) -> np.ndarray:
-    """(I * I,) int64: the share of each residue; those of neighbours are far apart, so that they light by different area lights."""
-    n = interleave**2
-    step = round(0.618 * n) if n > 2 else 1
-    while np.gcd(step, n) > 1:
-        step += 1
-    return np.arange(n) * step % n
-
-
-def _offsets(interleave: int) -> tuple[np.ndarray, np.ndarray]:
-    """Column and row of each share's pixel in a block, (I * I,) int64 each."""
-    residue = np.argsort(shares_of_residues(interleave))
-    return residue % interleave, residue // interleave
-
-
-def own_shares(points: ShadingPoints, pixels: Pixels) -> Batches:
-    """Every point with the share of its pixel."""
-    x, y = points.pixel % pixels.width, points.pixel // pixels.width
-    residue = (y % pixels.interleave) * pixels.interleave + x % pixels.interleave
-    return batches(np.arange(len(points.pixel), dtype=np.int32), shares_of_residues(pixels.interleave)[residue], x, y)
-
-
-def all_shares(points: ShadingPoints) -> Batches:
-    """Every point with all VPLs, which are one share; neighbours in memory are batched."""
-    n = len(points.pixel)
-    borders = np.append(np.arange(0, n, TOGETHER), n)
-    return Batches(np.arange(n, dtype=np.int32), borders, np.zeros(len(borders) - 1, np.int32))
-
-
-def batches(point: np.ndarray, share: np.ndarray, x: np.ndarray, y: np.ndarray) -> Batches:
-    """Batches of pairs (P,) of a point, at pixel (x, y), and a share: of points of one tile of the picture, for coherent rays.
-
-    Share by share, so that the shadow maps of its few area lights stay in the processor's cache.
-    """
-    columns = int(x.max(initial=0)) // TILE + 1
-    tiles = (int(y.max(initial=0)) // TILE + 1) * columns
-    keys = share.astype(np.int64) * tiles + (y // TILE) * columns + x // TILE
-    order = radix_order(keys)
-    keys = keys[order]
-    # A new batch where the key changes, and after every TOGETHER pairs of one key.
-    starts = np.flatnonzero(np.diff(keys, prepend=-1))
-    sizes = np.diff(starts, append=len(keys))
-    parts = -(-sizes // TOGETHER)
-    within = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-    first = np.append(np.repeat(starts, parts) + TOGETHER * within, len(keys))
-    return Batches(point[order], first, (keys[first[:-1]] // tiles).astype(np.int32))
+    return Pixels(interleave, width, radix_order(points.pixel.astype(np.int64)), first)
 
 
 @inlined

@@ -3,7 +3,7 @@
 VPLs are grouped into M area lights (VALs), each with one soft shadow map; nothing is precomputed, so that all of it may change in every
 frame.  Two things are done beyond the paper.  A VPL that is so near that it gives a point a visible part of its light has a
 shadow ray of its own: there an area's shadow, and the map's texels, are too coarse (contacts, corners).  And interleaved
-pixels share what they see, not their light, see `visibility_sharing`.
+pixels share what a few rays find beyond the maps, not their light, see `visibility_sharing`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..rays.offsets import shadow_segment
 from ..rays.packet import WIDTH, new_packet, set_ray
 from ..rays.trace import OPAQUE, occluded1
 from ..scene import DIFFUSE, TRANSPARENT
-from ..shadowmaps.convolution import TERMS, soft_shadow_maps, soft_visibility
+from ..shadowmaps.convolution import TERMS, soft_shadow_maps
 from ..shadowmaps.paraboloid import paraboloid_maps
 from ..surfaces.layout import SURFACE
 from ..surfaces.program import new_registers
@@ -31,19 +31,18 @@ from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints, pixel_maxima
 from .instant_radiosity import clamp_of, compensate, geometry_terms
-from .interleaving import LARGEST, TOGETHER, Batches, Pixels, all_shares, blur, own_shares, pixels_of
+from .interleaving import LARGEST, blur, pixels_of
 from .light_cache import no_cache
-from .visibility_sharing import code_of, gather
+from .visibility_sharing import area_visibility, gather, shared_lights
 
-RESOLUTION = 256  # texels of a depth map
+RESOLUTION = 128  # texels of a depth map
 NEAR = 0.02  # of the clamp: VPLs with a larger geometry term have rays of their own
 FLAT = 0.05  # of its size: a VAL whose members lie closer to its plane has its map at their mean
 ALIGNED = 0.9  # least cosine of the members' normals of such a VAL, and of one that needs no second map
 LIFT = 1e-3  # of the scene's extent, from the VAL's surface to its map
 KERNEL = 0.5  # of a VAL's rectangle, for its shadows: VPLs are sparse at the borders; least error in every scene measured
-FLOOR = 0.1  # of the mean light: errors of it matter everywhere
-MOST_SEEN = 1 << 28  # bytes of what points see; more VPLs are lit by in parts
-BATCHES = 16  # in one piece of work
+TOGETHER = 128  # neighbouring points that are lit together
+CHUNK = 1024  # points in one piece of work
 GATHER_CHUNK = 1024
 LEAST_GATHERED = 1 << 14  # gather rays in all
 SHOWN = 4  # VALs of the most flux, each with debug layers of its own
@@ -61,37 +60,23 @@ class SharedLights(NamedTuple):
     """N VPLs, VAL by VAL.
 
     vpls: the VPLs.  val: (N,) int32.  front, back: (M,) int32, the maps of each VAL's half-spaces; back is -1 where no
-    light goes.  first: (S + 1,) int32, borders of the shares of interleaved sampling.
+    light goes.
     """
 
     vpls: Vpls
     val: np.ndarray
     front: np.ndarray
     back: np.ndarray
-    first: np.ndarray
 
 
 @kernel
-def _visibility(maps, lights, val, x, y, z, sums):
-    """What a point sees of a VAL: by the map of the half-space that it lies in."""
-    front, back = lights.front[val], lights.back[val]
-    if back >= 0:
-        ahead = _0
-        for c, p in enumerate((x, y, z)):
-            ahead += (p - maps.origin[front, c]) * maps.frame[front, 2, c]
-        if ahead < _0:
-            return soft_visibility(maps, back, x, y, z, sums)
-    return soft_visibility(maps, front, x, y, z, sums)
-
-
-@kernel
-def _trace_near(scene, vpls, points, packet, rows, surface, cutouts, at, lane_of, of_vpl, count, through, visible):
+def _trace_near(scene, vpls, points, packet, rows, surface, cutouts, base, lane_of, of_vpl, count, through, visible):
     """What `count` pairs of a point and a near VPL see of each other, by shadow rays, into visible (P, K).
 
-    at: (P,) int32, the points.  lane_of: (16, 2) int64, where to write a lane's finding.  of_vpl: (16,) int64.
+    base: number of the first of P points.  lane_of: (16, 2) int64, where to write a lane's finding.  of_vpl: (16,) int64.
     """
     for lane in range(count):
-        i, j = at[lane_of[lane, 0]], of_vpl[lane]
+        i, j = base + lane_of[lane, 0], of_vpl[lane]
         ox, oy, oz, dx, dy, dz = shadow_segment(
             points.position[i, 0], points.position[i, 1], points.position[i, 2], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.error[i],
             vpls.position[j, 0], vpls.position[j, 1], vpls.position[j, 2],
@@ -104,49 +89,48 @@ def _trace_near(scene, vpls, points, packet, rows, surface, cutouts, at, lane_of
 
 
 @kernel
-def _look(scene, lights, maps, points, at, share, room, g_near, cutouts, visible, g):
-    """What points see of the VPLs of one share, 0 to 1, into visible (P, K), and the geometry terms into g (P, K); the rays traced.
+def _look(scene, lights, maps, points, base, n, room, g_near, cutouts, visible, g):
+    """What n points from `base` on see of the VPLs, 0 to 1, into visible (P, N), and the geometry terms into g (P, N); the rays traced.
 
-    at: (P,) int32, the points.  room: what `_room` allocates.
+    room: what `_room` allocates.
     """
     vpls, val = lights.vpls, lights.val
     position, ng, ns, column, far, sums, packet, surface, rows, lane_of, of_vpl, through = room
-    n = len(at)
     for k in range(n):
         for c in range(3):
-            position[k, c], ng[k, c], ns[k, c] = points.position[at[k], c], points.ng[at[k], c], points.ns[at[k], c]
+            position[k, c], ng[k, c], ns[k, c] = points.position[base + k, c], points.ng[base + k, c], points.ns[base + k, c]
         far[k] = 0
-    lanes = rays = 0
-    j0, j1 = lights.first[share], lights.first[share + 1]
-    begin = j0
-    for j in range(j0, j1):
+    lanes = rays = begin = 0
+    for j in range(len(val)):
         x, y, z = vpls.position[j, 0], vpls.position[j, 1], vpls.position[j, 2]
         geometry_terms(position, ns, ng, 0, n, x, y, z, vpls.normal[j, 0], vpls.normal[j, 1], vpls.normal[j, 2], column)
         for k in range(n):
             if cutouts and not is_ahead(vpls, j, position[k, 0], position[k, 1], position[k, 2]):
                 column[k] = _0
-            g[k, j - j0] = column[k]
-            visible[k, j - j0] = _0
+            g[k, j] = column[k]
+            visible[k, j] = _0
             if column[k] > g_near:
-                lane_of[lanes, 0], lane_of[lanes, 1], of_vpl[lanes] = k, j - j0, j
+                lane_of[lanes, 0], lane_of[lanes, 1], of_vpl[lanes] = k, j, j
                 lanes += 1
                 if lanes == WIDTH:
-                    _trace_near(scene, vpls, points, packet, rows, surface, cutouts, at, lane_of, of_vpl, lanes, through, visible)
+                    _trace_near(scene, vpls, points, packet, rows, surface, cutouts, base, lane_of, of_vpl, lanes, through, visible)
                     rays += lanes
                     lanes = 0
             elif column[k] > _0:
                 far[k] = 1
-        if j + 1 == j1 or val[j + 1] != val[j]:
+        if j + 1 == len(val) or val[j + 1] != val[j]:
             for k in range(n):
                 if far[k]:
                     far[k] = 0
-                    seen = _visibility(maps, lights, val[j], position[k, 0], position[k, 1], position[k, 2], sums)
-                    for i in range(begin - j0, j + 1 - j0):
+                    seen = area_visibility(
+                        maps, lights.front[val[j]], lights.back[val[j]], position[k, 0], position[k, 1], position[k, 2], sums
+                    )
+                    for i in range(begin, j + 1):
                         if _0 < g[k, i] <= g_near:
                             visible[k, i] = seen
             begin = j + 1
     if lanes > 0:
-        _trace_near(scene, vpls, points, packet, rows, surface, cutouts, at, lane_of, of_vpl, lanes, through, visible)
+        _trace_near(scene, vpls, points, packet, rows, surface, cutouts, base, lane_of, of_vpl, lanes, through, visible)
         rays += lanes
     return rays
 
@@ -163,53 +147,24 @@ def _room(scene, maps):
 
 
 @kernel
-def _shade(scene, lights, maps, points, pairs, borders, shares, begin, end, g_max, g_near, cutouts, out):
-    """Irradiance of the batches begin..end-1 into out (P, 3), pair by pair; the shadow rays traced.
-
-    pairs: (P,) int32, the points.  borders, shares: of `Batches`.
-    """
-    most = np.max(np.diff(lights.first))
-    visible, g = np.empty((TOGETHER, most), np.float32), np.empty((TOGETHER, most), np.float32)
+def _shade(scene, lights, maps, points, begin, end, g_max, g_near, cutouts, out):
+    """Irradiance at the points begin..end-1 into out (N, 3); the shadow rays traced."""
+    count = len(lights.val)
+    visible, g = np.empty((TOGETHER, count), np.float32), np.empty((TOGETHER, count), np.float32)
     room = _room(scene, maps)
     flux = lights.vpls.flux
     rays = 0
-    for batch in range(begin, end):
-        first, last, share = borders[batch], borders[batch + 1], shares[batch]
-        rays += _look(scene, lights, maps, points, pairs[first:last], share, room, g_near, cutouts, visible, g)
-        j0 = lights.first[share]
-        for k in range(last - first):
+    for base in range(begin, end, TOGETHER):
+        n = min(TOGETHER, end - base)
+        rays += _look(scene, lights, maps, points, base, n, room, g_near, cutouts, visible, g)
+        for k in range(n):
             red = green = blue = _0
-            for j in range(lights.first[share + 1] - j0):
-                w = min(g[k, j], g_max) * visible[k, j] * _INV_PI
-                red += w * flux[j0 + j, 0]
-                green += w * flux[j0 + j, 1]
-                blue += w * flux[j0 + j, 2]
-            out[first + k, 0], out[first + k, 1], out[first + k, 2] = red, green, blue
-    return rays
-
-
-@kernel
-def _see(scene, lights, maps, points, place, pairs, borders, shares, begin, end, g_max, g_near, cutouts, seen, light):
-    """What points see of the VPLs of their shares, 0 to 255, into seen (N, K) by place, and their light into light (N,); the shadow rays traced."""
-    each = seen.shape[1]
-    visible, g = np.empty((TOGETHER, each), np.float32), np.empty((TOGETHER, each), np.float32)
-    room = _room(scene, maps)
-    flux = lights.vpls.flux
-    rays = 0
-    for batch in range(begin, end):
-        first, last, share = borders[batch], borders[batch + 1], shares[batch]
-        rays += _look(scene, lights, maps, points, pairs[first:last], share, room, g_near, cutouts, visible, g)
-        j0 = lights.first[share]
-        count = lights.first[share + 1] - j0
-        for k in range(last - first):
-            at = place[pairs[first + k]]
-            total = _0
             for j in range(count):
-                total += min(g[k, j], g_max) * visible[k, j] * (flux[j0 + j, 0] + flux[j0 + j, 1] + flux[j0 + j, 2])
-                seen[at, j] = code_of(visible[k, j]) if g[k, j] > _0 else np.uint8(0)
-            for j in range(count, each):
-                seen[at, j] = 0
-            light[at] = total
+                w = min(g[k, j], g_max) * visible[k, j] * _INV_PI
+                red += w * flux[j, 0]
+                green += w * flux[j, 1]
+                blue += w * flux[j, 2]
+            out[base + k, 0], out[base + k, 1], out[base + k, 2] = red, green, blue
     return rays
 
 
@@ -217,7 +172,7 @@ class VirtualAreaLights:
     """All VPLs on all points, visibility by M area lights.
 
     vals: M; None: as many as the lighting needs (`wanted_area_lights`).
-    interleave: I, 1 to 8: each pixel of a block of I x I looks at a part of the VPLs, and its neighbours tell it what they see of the others.
+    interleave: I, 1 to 8: each pixel of a block of I x I draws a part of the VPLs for its rays, and its neighbours tell it what they found.
     width: pixels of the picture's rows; None, for points that are no picture, turns interleaving off.
     terms: of the shadow maps' Fourier series.  resolution: of their depth maps, a multiple of 32.
     compensation: gather rays that give back the light taken by the clamp, from the I x I points of a block together (0: none).
@@ -265,11 +220,9 @@ class VirtualAreaLights:
         self.extent = max(float(np.ptp(vpls.position, axis=0).max()), 1e-6)
         with self._stage("clustering"):
             self.area_lights = self.group(vpls)
-        order = np.argsort(self.area_lights.assignment, kind="stable")
-        shares = self.interleave**2
-        first = (np.arange(shares + 1) * len(order) // shares).astype(np.int32)
+        order = self._order(vpls)
         front, back = _slots(self.area_lights)
-        self.lights = SharedLights(vpls.take(order), self.area_lights.assignment[order], front, back, first)
+        self.lights = SharedLights(vpls.take(order), self.area_lights.assignment[order], front, back)
         with self._stage("shadow maps"):
             self.make_maps(vpls)
 
@@ -282,6 +235,13 @@ class VirtualAreaLights:
         count = min(self.vals or wanted_area_lights(vpls, self.extent), len(vpls.bounce))
         guess = first if len(first) >= count else np.arange(len(vpls.bounce))
         return cluster_area_lights(vpls.position, vpls.surface_normal, guess[np.arange(count) * len(guess) // count], self.extent)
+
+    def _order(self, vpls: Vpls) -> np.ndarray:
+        """VPLs by VAL, and along its rectangle's longer side, so that neighbours are seen alike."""
+        lights = self.area_lights
+        axis = lights.frame[np.arange(len(lights)), lights.half.argmax(axis=1)]
+        along = np.einsum("nc,nc->n", vpls.position - lights.centre[lights.assignment], axis[lights.assignment])
+        return np.lexsort((along, lights.assignment))
 
     def make_maps(self, vpls: Vpls) -> None:
         """The shadow maps of the VALs, those of the half-spaces behind them last."""
@@ -300,23 +260,13 @@ class VirtualAreaLights:
         n = len(points.pixel)
         self.pairs += n * len(self.lights.val)
         if self.interleave == 1 or n == 0:
-            return self._shade(points, all_shares(points), progress) + self._lost(points, self.compensation)
+            return self._shade(points, progress) + self._lost(points, self.compensation)
         pixels = pixels_of(points, self.width, self.interleave)
-        own = own_shares(points, pixels)
-        out = np.zeros((n, 3), np.float32)
-        parts = max(1, -(-n * len(self.lights.val) // (self.interleave**2 * MOST_SEEN)))
-        for part in range(parts):
-            lights = self._part(part, parts)
-            with self._stage("indirect light"):
-                seen, light = self._see(points, pixels, own, lights, progress)
-            with self._stage("blur"):
-                floor = FLOOR * float(light.mean(dtype=np.float64)) * self.interleave**2 / (3 * np.pi)
-                found, rays = gather(
-                    self.scene, points, pixels, _columns(lights, seen.shape[1]), seen, self.extent, self.g_max, floor, self.cutouts,
-                    self.seed, self.threads,
-                )  # fmt: skip
-            out += found
-            self.rays += rays
+        lights = shared_lights(self.lights.vpls, self.lights.val, self.maps, self.lights.front, self.lights.back)
+        out, rays = gather(
+            self.scene, points, pixels, lights, self.extent, self.g_max, self.cutouts, self.seed, self.threads, progress, self._stage
+        )
+        self.rays += rays
         with self._stage("compensation"):
             # A few gather rays a point are enough where there are many points, for those of a block share them.
             few = max(-(-self.compensation // self.interleave**2), min(self.compensation, -(-LEAST_GATHERED // n)))
@@ -324,45 +274,16 @@ class VirtualAreaLights:
                 out += blur(points, pixels, self._lost(points, few), self.extent, self.threads)
         return out
 
-    def _part(self, part: int, parts: int) -> SharedLights:
-        """Every `parts`-th VPL."""
-        lights = self.lights
-        if parts == 1:
-            return lights
-        at = np.arange(part, len(lights.val), parts)
-        first = (np.arange(len(lights.first)) * len(at) // (len(lights.first) - 1)).astype(np.int32)
-        return lights._replace(vpls=lights.vpls.take(at), val=lights.val[at], first=first)
-
-    def _see(
-        self, points: ShadingPoints, pixels: Pixels, own: Batches, lights: SharedLights, progress: Progress | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """What points see of the VPLs of their own shares (N, K) uint8 and pi times their light (N,), both by pixel."""
-        n = len(points.pixel)
-        each = -(-int(np.diff(lights.first).max()) // 8) * 8
-        seen, light = np.empty((n, each), np.uint8), np.empty(n, np.float32)
-        place = np.empty(n, np.int32)
-        place[pixels.order] = np.arange(n, dtype=np.int32)
-
-        def work(begin, end):
-            return _see(
-                self.scene, lights, self.maps, points, place, own.point, own.first, own.share,
-                begin, end, self.g_max, np.float32(NEAR * self.g_max), self.cutouts, seen, light,
-            )  # fmt: skip
-
-        self.rays += sum(run_chunks(work, len(own.share), BATCHES, self.threads, progress))
-        return seen, light
-
-    def _shade(self, points: ShadingPoints, batches: Batches, progress: Progress | None) -> np.ndarray:
-        """Light (P, 3) of pairs of a point and a share of the VPLs."""
-        out = np.empty((len(batches.point), 3), np.float32)
+    def _shade(self, points: ShadingPoints, progress: Progress | None) -> np.ndarray:
+        """Light (N, 3) of all VPLs: of near ones by shadow rays, of the others by their VALs' maps."""
+        out = np.empty((len(points.pixel), 3), np.float32)
 
         def work(begin, end):
             return _shade(
-                self.scene, self.lights, self.maps, points, batches.point, batches.first, batches.share,
-                begin, end, self.g_max, np.float32(NEAR * self.g_max), self.cutouts, out,
-            )  # fmt: skip
+                self.scene, self.lights, self.maps, points, begin, end, self.g_max, np.float32(NEAR * self.g_max), self.cutouts, out
+            )
 
-        self.rays += sum(run_chunks(work, len(batches.share), BATCHES, self.threads, progress))
+        self.rays += sum(run_chunks(work, len(out), CHUNK, self.threads, progress))
         return out
 
     def _lost(self, points: ShadingPoints, samples: int) -> np.ndarray:
@@ -400,23 +321,12 @@ class VirtualAreaLights:
         return pictures
 
 
-def _columns(lights: SharedLights, each: int) -> np.ndarray:
-    """What `gather` reads of the VPLs, (11, S * each) float32, those of share s from each * s on."""
-    vpls, first = lights.vpls, lights.first
-    columns = np.zeros((11, (len(first) - 1) * each), np.float32)
-    share = np.repeat(np.arange(len(first) - 1), np.diff(first))
-    at = share * each + np.arange(len(share)) - first[share]
-    columns[0:3, at], columns[3:6, at], columns[6:9, at] = vpls.position.T, vpls.normal.T, vpls.flux.T * _INV_PI
-    columns[9], columns[10, at] = columns[6:9].mean(axis=0), vpls.error
-    return columns
-
-
 @kernel
 def _visibilities(maps, lights, val, position, seen):
     """What each position (N, 3) sees of one VAL, into seen (N, 1)."""
     sums = np.empty(maps.tables.shape[3], np.float32)
     for i in range(len(position)):
-        seen[i, 0] = _visibility(maps, lights, val, position[i, 0], position[i, 1], position[i, 2], sums)
+        seen[i, 0] = area_visibility(maps, lights.front[val], lights.back[val], position[i, 0], position[i, 1], position[i, 2], sums)
 
 
 def _slots(lights: AreaLights) -> tuple[np.ndarray, np.ndarray]:

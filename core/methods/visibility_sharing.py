@@ -1,58 +1,118 @@
-"""Light of all VPLs at every point, by what the points of its block see of them.
+"""Light of all VPLs at every point: by what the area lights' maps show of them, set right by a few shadow rays that neighbours share.
 
 The paper blurs light (Dong et al. 2009, Section 6): each pixel's is that of its share of the VPLs, and what its neighbours add was
-meant for other places.  Here the geometry terms of all VPLs are a point's own, and only the visibility comes from neighbours: a bilinear mean of
-the four points about it that hold a share.  That is wrong where they do not know, and it shows: where they
-disagree, or lie on other surfaces, what may give a visible part of the light has shadow rays; and where a point sees its own share otherwise
-than others on both sides of it, it lies in something narrower than a block (the dark strip beside a moulding), and takes a
-sample of all VPLs, drawn by the light they would give, by shadow rays.
+meant for other places.  Here the light that VPLs would give if nothing were in their way is each point's own, and so is what the
+soft shadow maps take from it (a control variate).  What both have wrong is estimated by shadow rays to VPLs that the pixels of a block
+draw together, one stratified sample of a distribution by light and doubt; the mean over a point's neighbours on its surface is the part of its
+unshadowed light that is still missing.
 
 Light itself is interpolated between every fourth pixel of smooth surfaces whose light hardly differs.
 """
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import NamedTuple
+
 import numpy as np
 
 from ..jit import inlined, kernel
+from ..particles import Vpls, is_ahead
 from ..rays.offsets import shadow_segment
-from ..rays.packet import WIDTH, new_packet, set_ray
-from ..sampling.hashing import uniform
+from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_FAR, T_NEAR, WIDTH, new_packet, set_ray
+from ..rays.trace import CUTOUT, OPAQUE, occluded_packet
 from ..scene import DIFFUSE
+from ..shadowmaps.convolution import SoftShadowMaps, soft_visibility
 from ..surfaces.layout import SURFACE
 from ..surfaces.program import new_registers
-from ..surfaces.visibility import shadow_packet
-from ..threads import run_chunks
+from ..surfaces.visibility import OUTSIDE, transmittance1
+from ..threads import Progress, part, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .interleaving import ALPHA, Pixels, alike, by_place, shares_of_residues
+from .interleaving import ALPHA, Pixels, alike, by_place
 
-LEVELS = 16  # of visibility, so that points agree
-DOUBT = 0.03  # of a point's light: a VPL that may give so much more than it surely does has a ray
-UNSURE = 0.5  # of a point's sure light: with more doubts left, all is drawn
-SURPRISE = 0.1  # of the light of a point's neighbourhood: that may be unlike what is seen on both sides
-DRAWN = 24  # VPLs
+LEVELS = 255  # of visibility by maps
+BLOCK = 8  # pixels along the edge of a piece of work, and of what is filled evenly by draws
+DRAWN = 256  # VPLs of interleave x interleave pixels
 STEP = 4  # pixels between the points whose light is computed everywhere
+COARSE_DRAWN = 16  # VPLs of such a point
+MAP_STEP = 16  # pixels between the points that look at maps
+WINDOW = 3  # points on each side at most that share rays
+LEAST_DOUBT = 0.35  # of a VAL, against 0.5 of one that is half seen: maps err
+LEAST_WEIGHT = np.float32(1e-3)  # of what one draw stands for: bounds the weight of a light that rounding alone has drawn
+SURE = 0.02  # of the unshadowed light: differences that are always taken for noise
+ALIKE = 1.5  # variances by which two points' findings differ that no longer share rays
+STRATIFIED = 0.25  # of the variance of independent rays: that of a whole window's
+EVEN, SHAPED = (
+    0.4,
+    1.0,
+)  # variances by which findings about a point are off its window's mean: up to which that is taken, from which the shaped one
+CUT, CUT_OFF = 0.1, 0.3  # share of a window that lies on other surfaces: the same
+NOISE = 0.17  # of a point's light: error to expect with which no more rays are wanted
+MOST = 32  # rays that a point may want in addition
+FLOOR = 0.1  # of the mean light: errors of it matter everywhere
 FLAT = 0.998  # least cosine of the normals of points whose light is interpolated
-SMOOTH = 0.1  # of the light: most that it may differ between them
+SMOOTH = 0.15  # of the light: most that it may differ between them
 BLOCKS = 32  # in one piece of work
-POINTS = 4096  # the same
-DIMENSION = 62  # of the random numbers
+POINTS = 1024  # the same
+COARSE_POINTS = 256  # the same, of those that look at maps
+PART = 32  # lights whose importance is added up before one is drawn
+COARSE, FINE, MORE = range(3)  # stages
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
+_HALF = np.float32(0.5)
 _THIRD = np.float32(1 / 3)
-_UNIT = np.float32(1 / (LEVELS - 1))
+_TINY = np.float32(1e-15)
+
+
+class Lights(NamedTuple):
+    """N VPLs, VAL by VAL.
+
+    columns: (11, L) float32, L >= N a multiple of PART: positions, normals, flux / pi (rgb) and its mean, error of the position; zeros for none.
+    first: (M + 1,) int32, borders of the VALs.  bounds: (M, 4) float32, a ball about each one's VPLs (m).  vpls: the same VPLs.
+    maps, front, back: shadow maps, and the numbers of those of each VAL's half-spaces; back is -1 where no light goes.
+    """
+
+    columns: np.ndarray
+    first: np.ndarray
+    bounds: np.ndarray
+    vpls: Vpls
+    maps: SoftShadowMaps
+    front: np.ndarray
+    back: np.ndarray
+
+
+class Found(NamedTuple):
+    """What N points, by pixel, know.
+
+    clear, mapped: (N, 3) light of all VPLs if nothing were in the way, and as the maps show it.  rest: (N, 3) what rays add to the latter.
+    rays: (N,) float32, how many of them.  squares: (N,) float32, of what each adds, channels' mean.
+    """
+
+    clear: np.ndarray
+    mapped: np.ndarray
+    rest: np.ndarray
+    rays: np.ndarray
+    squares: np.ndarray
 
 
 @inlined
-def code_of(visible):
-    """Visibility, 0 to 1, as a code of `seen`; 0 stands for what the point does not face."""
-    return np.uint8(np.uint8(visible * np.float32(LEVELS - 1) + np.float32(0.5)) + np.uint8(1))
+def area_visibility(maps, front, back, x, y, z, sums):
+    """What a point sees of a VAL: by the map of the half-space that it lies in."""
+    if back >= 0:
+        ahead = _0
+        for c, p in enumerate((x, y, z)):
+            ahead += (p - maps.origin[front, c]) * maps.frame[front, 2, c]
+        if ahead < _0:
+            return soft_visibility(maps, back, x, y, z, sums)
+    return soft_visibility(maps, front, x, y, z, sums)
 
 
 @kernel
 def _terms(lights, px, py, pz, sx, sy, sz, gx, gy, gz, g_max, term):
-    """Clamped geometry terms of all lights at a point into term (S K,)."""
+    """Clamped geometry terms of all lights at a point into term (L,)."""
     x, y, z, nx, ny, nz = lights[0], lights[1], lights[2], lights[3], lights[4], lights[5]
     for j in range(len(term)):
         dx, dy, dz = x[j] - px, y[j] - py, z[j] - pz
@@ -63,192 +123,178 @@ def _terms(lights, px, py, pz, sx, sy, sz, gx, gy, gz, g_max, term):
 
 
 @kernel
-def _sums(lights, term, visible, low):
-    """Light of all lights as far as they are visible, and the mean of its channels that is not sure."""
+def _weigh(lights, term, visible, importance):
+    """The importance of each light into importance (L,); all light, unshadowed and as far as it is visible."""
     r, g, b, mean = lights[6], lights[7], lights[8], lights[9]
-    red = green = blue = unsure = _0
+    red = green = blue = seen_red = seen_green = seen_blue = _0
     for j in range(len(term)):
-        w = visible[j] * term[j]
-        red += w * r[j]
-        green += w * g[j]
-        blue += w * b[j]
-        unsure += (visible[j] - low[j]) * term[j] * mean[j]
-    return red, green, blue, unsure
+        t, v = term[j], visible[j]
+        tr, tg, tb = t * r[j], t * g[j], t * b[j]
+        red += tr
+        green += tg
+        blue += tb
+        seen_red += v * tr
+        seen_green += v * tg
+        seen_blue += v * tb
+        importance[j] = t * mean[j] * np.sqrt(max(v * (_1 - v), np.float32(LEAST_DOUBT * LEAST_DOUBT)))
+    return red, green, blue, seen_red, seen_green, seen_blue
 
 
 @kernel
-def _unshadowed(term, each, facing):
-    """Which shares have a light that the point faces, into facing (S,)."""
-    for share in range(len(facing)):
-        total = _0
-        for j in range(share * each, (share + 1) * each):
-            total += term[j]
-        facing[share] = total > _0
+def _part_sums(importance, parts):
+    """Sums of PART neighbours into parts (L / PART,); that of all."""
+    total = _0
+    for p in range(len(parts)):
+        part = _0
+        for j in range(PART):
+            part += importance[PART * p + j]
+        parts[p] = part
+        total += part
+    return total
+
+
+@kernel
+def _draw(importance, parts, total, u, chosen, weight):
+    """Lights drawn by importance, one in each of len(chosen) strata, at u (0 to 1) of it; the weights of what each gives.
+
+    One that is drawn more than once keeps the weights of all in the first, 0 in the others, and is traced once.
+    """
+    count = len(chosen)
+    step = total / np.float32(count)
+    p, j = 0, 0
+    before, within = _0, _0  # of the parts before p, and of p's lights before j
+    last = -1
+    for i in range(count):
+        wanted = (np.float32(i) + u) * step
+        while p + 1 < len(parts) and before + parts[p] <= wanted:
+            before += parts[p]
+            p += 1
+            j, within = 0, _0
+        while j + 1 < PART and before + within + importance[PART * p + j] <= wanted:
+            within += importance[PART * p + j]
+            j += 1
+        light = PART * p + j
+        chosen[i] = light
+        w = step / max(importance[light], LEAST_WEIGHT * step)
+        weight[i] = w
+        if i > 0 and light == chosen[last]:
+            weight[last] += w
+            weight[i] = _0
+        else:
+            last = i
 
 
 @inlined
-def _value(code):
-    """Visibility, 0 to 1, of a code of `seen`."""
-    return (np.float32(max(code, np.uint8(1))) - _1) * _UNIT
+def _rank(x, y):
+    """Place, 0 to 63, of a pixel in the order in which a block of 8 x 8 is filled evenly (Bayer 1973)."""
+    rank = 0
+    for bit in range(3):
+        a, b = (x >> bit) & 1, (y >> bit) & 1
+        rank = 4 * rank + 2 * (a ^ b) + b
+    return rank
 
 
 @kernel
-def _agreement(pixels, words, seen, lights, left_edge, top_edge, agreed, visible, low, high):
-    """Which shares all points of the 3 x 3 blocks about one find alike, into agreed (S,), and what they find into visible, low, high."""
-    size, width, first = pixels.interleave, pixels.width, pixels.first
-    last = len(first) - 1
-    each = seen.shape[1]
-    for share in range(size * size):
-        found = -1
-        same = True
-        for v in range(top_edge - size + pixels.down[share], top_edge + 2 * size, size):
-            if v < 0:
+def _shadow(scene, packet, rows, surface, count, cutouts, through):
+    """What the rays in lanes 0..count-1, which go any way, let through, into through (16, 3)."""
+    occluded_packet(scene.rays, OPAQUE, packet, count)
+    f = packet.f
+    waiting = False
+    for lane in range(count):
+        open_ = _0 if f[T_FAR * WIDTH + lane] == OCCLUDED else _1
+        through[lane, 0] = through[lane, 1] = through[lane, 2] = open_
+        waiting |= open_ > _0
+    if not cutouts or not waiting:
+        return
+    occluded_packet(scene.rays, CUTOUT, packet, count)
+    for lane in range(count):
+        if through[lane, 0] > _0 and f[T_FAR * WIDTH + lane] == OCCLUDED:
+            through[lane, 0], through[lane, 1], through[lane, 2], _ = transmittance1(
+                scene, packet, rows, surface,
+                f[ORG_X * WIDTH + lane], f[ORG_Y * WIDTH + lane], f[ORG_Z * WIDTH + lane],
+                f[DIR_X * WIDTH + lane], f[DIR_Y * WIDTH + lane], f[DIR_Z * WIDTH + lane],
+                f[T_NEAR * WIDTH + lane], _1, DIFFUSE, DIFFUSE, OUTSIDE, False,
+            )  # fmt: skip
+
+
+@kernel
+def _trace(scene, packet, rows, surface, cutouts, through, points, pixels, lights, drawn, filled, found):
+    """What rays find of what up to 16 points have drawn, stratum by stratum, beyond what maps show, into `found`; the rays traced."""
+    columns = lights.columns
+    places, light_of, weight_of, seen_of = drawn
+    lane_of = np.empty(WIDTH, np.int64)
+    rays = 0
+    for s in range(light_of.shape[0]):
+        lanes = 0
+        for q in range(filled):
+            if not weight_of[s, q] > _0:
                 continue
-            for u in range(max(left_edge - size, 0) + pixels.across[share], min(left_edge + 2 * size, width), size):
-                at = v * width + u
-                if at >= last:
-                    continue
-                for k in range(first[at], first[at + 1]):
-                    if found < 0:
-                        found = k
-                        for c in range(each):
-                            same &= seen[k, c] > 0 or lights[9, share * each + c] == _0
-                    for w in range(words.shape[1]):
-                        same &= words[k, w] == words[found, w]
-            if not same:
-                break
-        agreed[share] = same and found >= 0
-        if agreed[share]:
-            for c in range(each):
-                at = share * each + c
-                visible[at] = low[at] = high[at] = _value(seen[found, c])
-
-
-@kernel
-def _holders(pixels, table, place, x, y, left_edge, top_edge, reach2, agreed, facing, holder, weight, guessed):
-    """The (up to) four points about one at (x, y) that hold a share, for every share; their weights are those of a bilinear mean.
-
-    Into holder (S, 4), of places, weight (S, 4) and guessed (S,): whether there are none but points of other surfaces.
-    """
-    size, width, first = pixels.interleave, pixels.width, pixels.first
-    last = len(first) - 1
-    inverse = _1 / np.float32(size)
-    for share in range(size * size):
-        guessed[share] = False
-        if agreed[share] or not facing[share]:
+            i, j = pixels.order[places[q]], light_of[s, q]
+            ox, oy, oz, dx, dy, dz = shadow_segment(
+                points.position[i, 0], points.position[i, 1], points.position[i, 2],
+                points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.error[i],
+                columns[0, j], columns[1, j], columns[2, j], columns[3, j], columns[4, j], columns[5, j], columns[10, j],
+            )  # fmt: skip
+            set_ray(packet, lanes, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
+            lane_of[lanes] = q
+            lanes += 1
+        if lanes == 0:
             continue
-        right, below = left_edge + pixels.across[share], top_edge + pixels.down[share]
-        if right < x:
-            right += size
-        if below < y:
-            below += size
-        fx, fy = np.float32(right - x) * inverse, np.float32(below - y) * inverse
-        total = _0
-        found = 0
-        for corner in range(4):
-            left, up = corner & 1, corner >> 1
-            if (left and right == x) or (up and below == y):
-                continue
-            u, v = right - left * size, below - up * size
-            at = v * width + u
-            if u < 0 or v < 0 or u >= width or at >= last:
-                continue
-            itself = u == x and v == y
-            for k in range(first[at], first[at + 1]):
-                if k == place or (not itself and alike(table, place, k, reach2)):
-                    if total == _0:
-                        found = 0
-                    holder[share, found] = k
-                    weight[share, found] = (fx if left else _1 - fx) * (fy if up else _1 - fy)
-                    total += weight[share, found]
-                    found += 1
-                    break
-                if not itself and total == _0:
-                    holder[share, found], weight[share, found] = k, _1
-                    found += 1
-                    break
-        guessed[share] = total == _0
-        scale = _UNIT / (total if total > _0 else np.float32(max(found, 1)))
-        for h in range(4):
-            if h < found:
-                weight[share, h] *= scale
-            else:
-                holder[share, h], weight[share, h] = holder[share, 0] if found > 0 else place, _0
+        _shadow(scene, packet, rows, surface, lanes, cutouts, through)
+        rays += lanes
+        for lane in range(lanes):
+            q = lane_of[lane]
+            place, j, w, v = places[q], light_of[s, q], weight_of[s, q], seen_of[s, q]
+            at = points.position[pixels.order[place]]
+            if cutouts and not is_ahead(lights.vpls, j, at[0], at[1], at[2]):
+                through[lane] = _0
+            for c in range(3):
+                found.rest[place, c] += w * columns[6 + c, j] * (through[lane, c] - v)
+            off = w * columns[9, j] * ((through[lane, 0] + through[lane, 1] + through[lane, 2]) * _THIRD - v)
+            found.squares[place] += off * off
+    return rays
 
 
 @kernel
-def _mix(seen, agreed, facing, holder, weight, guessed, visible, low, high):
-    """Weighted mean, least and largest of what the holders of each share see, into arrays (S K,)."""
-    each = seen.shape[1]
-    for share in range(len(agreed)):
-        if agreed[share] or not facing[share]:
-            continue
-        a, b, c, d = seen[holder[share, 0]], seen[holder[share, 1]], seen[holder[share, 2]], seen[holder[share, 3]]
-        wa, wb, wc, wd = weight[share, 0], weight[share, 1], weight[share, 2], weight[share, 3]
-        base = share * each
-        v, lo, hi = visible[base : base + each], low[base : base + each], high[base : base + each]
-        for j in range(each):
-            sa, sb, sc, sd = np.float32(a[j]), np.float32(b[j]), np.float32(c[j]), np.float32(d[j])
-            v[j] = wa * max(sa - _1, _0) + wb * max(sb - _1, _0) + wc * max(sc - _1, _0) + wd * max(sd - _1, _0)
-            lo[j] = max(min(min(sa, sb), min(sc, sd)) - _1, _0) * _UNIT
-            hi[j] = max(max(max(sa, sb), max(sc, sd)) - _1, _0) * _UNIT
-        if guessed[share]:
-            lo[:] = _0
-            hi[:] = _1
+def _visible(pixels, table, codes, number, first_light, place, x, y, reach2, of_val, visible):
+    """What maps show of each light to a point of pixel (x, y): a bilinear mean of what they show to the points about it, into visible (L,).
 
-
-@kernel
-def _doubtful(lights, term, low, high, bound, chosen):
-    """Numbers of the lights that may give a point more light by more than `bound` than they surely do, into chosen (S K,).
-
-    Returns how many, and what the others may give in all.
+    codes: (C, M) uint8, known to the points that look at maps.  number: (N,) int32, which one of them each is.
     """
-    mean = lights[9]
-    count = 0
-    rest = _0
-    for j in range(len(term)):
-        doubt = (high[j] - low[j]) * term[j] * mean[j]
-        count += doubt > bound
-        rest += _0 if doubt > bound else doubt
-    if count > 0:
-        count = 0
-        for j in range(len(term)):
-            chosen[count] = j
-            count += (high[j] - low[j]) * term[j] * mean[j] > bound
-    return count, rest
-
-
-@kernel
-def _draw(lights, term, u, chosen, scale):
-    """Numbers of DRAWN lights, by what each gives to a point if nothing is in its way, and the weights of what is seen of them."""
-    mean = lights[9]
+    width, first = pixels.width, pixels.first
+    last = len(first) - 1
+    left, top = x // MAP_STEP * MAP_STEP, y // MAP_STEP * MAP_STEP
     total = _0
-    for j in range(len(term)):
-        total += term[j] * mean[j]
-    if not total > _0:
-        return 0
-    step = total / np.float32(DRAWN)
-    reached = -u * step
-    count = 0
-    for j in range(len(term)):
-        reached += term[j] * mean[j]
-        if reached > _0:
-            # Those that are drawn more than once are traced once.
-            times = np.ceil(reached / step)
-            chosen[count], scale[count] = j, times * step / (term[j] * mean[j])
-            reached -= times * step
-            count += 1
-    return count
+    of_val[:] = _0
+    for others in range(2):
+        for corner in range(4):
+            u, v = left + (corner & 1) * MAP_STEP, top + (corner >> 1) * MAP_STEP
+            across = np.float32(x - left) * np.float32(1 / MAP_STEP)
+            down = np.float32(y - top) * np.float32(1 / MAP_STEP)
+            w = (across if corner & 1 else _1 - across) * (down if corner >> 1 else _1 - down)
+            at = v * width + u
+            if w == _0 or u >= width or at >= last:
+                continue
+            for k in range(first[at], first[at + 1]):
+                if others or alike(table, place, k, reach2):
+                    total += w
+                    known = codes[number[k]]
+                    for m in range(len(of_val)):
+                        of_val[m] += w * np.float32(known[m])
+                    break
+        if total > _0:
+            break
+    scale = np.float32(1 / LEVELS) / total if total > _0 else _0
+    for m in range(len(of_val)):
+        visible[first_light[m] : first_light[m + 1]] = of_val[m] * scale if total > _0 else _HALF
 
 
 @kernel
-def _smooth(points, pixels, table, narrow, place, x, y, reach2, out):
+def _smooth(points, pixels, table, place, x, y, reach2, out):
     """Whether the light at a point of pixel (x, y) may be taken from the four points about it whose light is known; sets it if so."""
     width, first = pixels.width, pixels.first
     last = len(first) - 1
     i = pixels.order[place]
-    if narrow[place]:
-        return False
     left, top = x // STEP * STEP, y // STEP * STEP
     red = green = blue = total = _0
     least, most = np.float32(np.inf), _0
@@ -257,8 +303,6 @@ def _smooth(points, pixels, table, narrow, place, x, y, reach2, out):
         across = np.float32(x - left) * np.float32(1 / STEP)
         down = np.float32(y - top) * np.float32(1 / STEP)
         w = (across if corner & 1 else _1 - across) * (down if corner >> 1 else _1 - down)
-        if w == _0:
-            continue
         at = v * width + u
         if u >= width or at >= last:
             return False
@@ -266,7 +310,7 @@ def _smooth(points, pixels, table, narrow, place, x, y, reach2, out):
         for place_k in range(first[at], first[at + 1]):
             k = pixels.order[place_k]
             bend = points.ns[i, 0] * points.ns[k, 0] + points.ns[i, 1] * points.ns[k, 1] + points.ns[i, 2] * points.ns[k, 2]
-            if not narrow[place_k] and bend > np.float32(FLAT) and alike(table, place, place_k, reach2):
+            if bend > np.float32(FLAT) and alike(table, place, place_k, reach2):
                 red, green, blue = red + w * out[k, 0], green + w * out[k, 1], blue + w * out[k, 2]
                 light = out[k, 0] + out[k, 1] + out[k, 2]
                 least, most, total = min(least, light), max(most, light), total + w * light
@@ -281,198 +325,361 @@ def _smooth(points, pixels, table, narrow, place, x, y, reach2, out):
 
 
 @kernel
-def _traced(scene, packet, rows, surface, cutouts, through, points, i, lights, term, chosen, scale, count):
-    """Light of the lights chosen[:count] at point i, by shadow rays, weighted by `scale`."""
-    red = green = blue = _0
-    for base in range(0, count, WIDTH):
-        lanes = min(WIDTH, count - base)
-        for lane in range(lanes):
-            j = chosen[base + lane]
-            ox, oy, oz, dx, dy, dz = shadow_segment(
-                points.position[i, 0], points.position[i, 1], points.position[i, 2],
-                points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], points.error[i],
-                lights[0, j], lights[1, j], lights[2, j], lights[3, j], lights[4, j], lights[5, j], lights[10, j],
-            )  # fmt: skip
-            set_ray(packet, lane, ox, oy, oz, dx, dy, dz, _0, _1, DIFFUSE)
-        shadow_packet(scene, packet, rows, surface, lanes, DIFFUSE, cutouts, through)
-        for lane in range(lanes):
-            j = chosen[base + lane]
-            w = term[j] * scale[base + lane]
-            red += w * lights[6, j] * through[lane, 0]
-            green += w * lights[7, j] * through[lane, 1]
-            blue += w * lights[8, j] * through[lane, 2]
-    return red, green, blue
+def _map_codes(points, pixels, lights, at, begin, end, codes):
+    """What the maps of all VALs that they may face show to the points at places at[begin:end], into codes (C, M)."""
+    bounds = lights.bounds
+    sums = np.empty(lights.maps.tables.shape[3], np.float32)
+    for m in range(len(lights.front)):  # map by map, for the processor's cache
+        for c in range(begin, end):
+            i = pixels.order[at[c]]
+            x, y, z = points.position[i, 0], points.position[i, 1], points.position[i, 2]
+            ahead = points.ns[i, 0] * (bounds[m, 0] - x) + points.ns[i, 1] * (bounds[m, 1] - y) + points.ns[i, 2] * (bounds[m, 2] - z)
+            seen = _0
+            if ahead + bounds[m, 3] > _0:
+                seen = area_visibility(lights.maps, lights.front[m], lights.back[m], x, y, z, sums)
+            codes[c, m] = np.uint8(seen * np.float32(LEVELS) + _HALF)
 
 
 @kernel
-def _gather(scene, points, pixels, table, lights, seen, words, begin, end, reach2, g_max, floor, narrow, seed, cutouts, coarse, out):
-    """Light of all VPLs at the points of the blocks begin..end-1 into out (N, 3): at every STEP-th if coarse, else at the others.
+def _look(scene, points, pixels, table, lights, number, begin, end, reach2, g_max, most, seed, cutouts, stage, codes, wanted, found, out):
+    """Light and rays of the points of the blocks begin..end-1; the rays traced.
 
-    Returns the rays traced.
-    words: `seen` as (N, K / 8) uint64.  narrow: (N,) bool, by pixel.
+    stage: COARSE: of every STEP-th point.  FINE: of the others, or their light itself where it is smooth.  MORE: of those that want more.
+    most: rays of one point, all but those of MORE have as many.
     """
-    size, width, first = pixels.interleave, pixels.width, pixels.first
+    width, first = pixels.width, pixels.first
     last = len(first) - 1
-    columns = (width - 1) // size + 1
-    shares, each = size * size, seen.shape[1]
-    visible, term = np.zeros(shares * each, np.float32), np.empty(shares * each, np.float32)
-    low, high = np.zeros(shares * each, np.float32), np.zeros(shares * each, np.float32)
-    chosen, scale = np.empty(shares * each + 1, np.int64), np.empty(shares * each + 1, np.float32)
-    count = 0
-    agreed, facing, guessed = np.empty(shares, np.bool_), np.empty(shares, np.bool_), np.empty(shares, np.bool_)
-    holder, weight = np.empty((shares, 4), np.int64), np.empty((shares, 4), np.float32)
+    across = (width - 1) // BLOCK + 1
+    count = lights.columns.shape[1]
+    term, visible, importance = np.empty(count, np.float32), np.zeros(count, np.float32), np.empty(count, np.float32)
+    parts, of_val = np.empty(count // PART, np.float32), np.empty(len(lights.front), np.float32)
     packet = new_packet()
     surface = np.zeros(SURFACE, np.float32)
     rows = new_registers(scene.materials)
     through = np.ones((WIDTH, 3), np.float32)
-    rays = 0
+    chosen, weight = np.empty(most, np.int64), np.empty(most, np.float32)
+    places = np.empty(WIDTH, np.int64)
+    light_of, weight_of, seen_of = (
+        np.empty((most, WIDTH), np.int64),
+        np.empty((most, WIDTH), np.float32),
+        np.empty((most, WIDTH), np.float32),
+    )
+    drawn = (places, light_of, weight_of, seen_of)
+    filled = rays = 0
+    step = STEP if stage == COARSE else 1
     for block in range(begin, end):
-        left_edge, top_edge = block % columns * size, block // columns * size
-        known = False
-        agreed[:] = False
-        for within in range(shares):
-            x, y = left_edge + within % size, top_edge + within // size
-            if x >= width or y * width + x >= last:
-                continue
-            for place in range(first[y * width + x], first[y * width + x + 1]):
-                i = pixels.order[place]
-                if coarse != (x % STEP == 0 and y % STEP == 0):
+        left, top = block % across * BLOCK, block // across * BLOCK
+        for y in range(top, top + BLOCK, step):
+            for x in range(left, min(left + BLOCK, width), step):
+                if y * width + x >= last or (stage == FINE and x % STEP == 0 and y % STEP == 0):
                     continue
-                if not coarse:
-                    if _smooth(points, pixels, table, narrow, place, x, y, reach2, out):
+                u = (np.float32((_rank(x // step % BLOCK, y // step % BLOCK) + seed) % (BLOCK * BLOCK)) + _HALF) * np.float32(
+                    1 / (BLOCK * BLOCK)
+                )
+                for place in range(first[y * width + x], first[y * width + x + 1]):
+                    i = pixels.order[place]
+                    if stage == FINE and _smooth(points, pixels, table, place, x, y, reach2, out):
                         continue
-                    if not known:
-                        _agreement(pixels, words, seen, lights, left_edge, top_edge, agreed, visible, low, high)
-                        known = True
-                _terms(
-                    lights, points.position[i, 0], points.position[i, 1], points.position[i, 2],
-                    points.ns[i, 0], points.ns[i, 1], points.ns[i, 2], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], g_max, term,
-                )  # fmt: skip
-                red = green = blue = _0
-                draw = narrow[place]
-                if not draw:
-                    _unshadowed(term, each, facing)
-                    _holders(pixels, table, place, x, y, left_edge, top_edge, reach2, agreed, facing, holder, weight, guessed)
-                    _mix(seen, agreed, facing, holder, weight, guessed, visible, low, high)
-                    red, green, blue, unsure = _sums(lights, term, visible, low)
-                    sure = max((red + green + blue) * _THIRD - unsure, floor)
-                    count, rest = _doubtful(lights, term, low, high, np.float32(DOUBT) * sure, chosen)
-                    draw = count > DRAWN or rest > np.float32(UNSURE) * sure
-                if draw:
-                    red = green = blue = _0
-                    count = _draw(lights, term, uniform(seed, np.uint32(i), np.uint32(0), np.uint32(DIMENSION)), chosen, scale)
-                else:
-                    for d in range(count):
-                        j = chosen[d]
-                        scale[d] = _1
-                        red -= visible[j] * term[j] * lights[6, j]
-                        green -= visible[j] * term[j] * lights[7, j]
-                        blue -= visible[j] * term[j] * lights[8, j]
-                r, g, b = _traced(scene, packet, rows, surface, cutouts, through, points, i, lights, term, chosen, scale, count)
-                red, green, blue = red + r, green + g, blue + b
-                rays += count
-                out[i, 0], out[i, 1], out[i, 2] = max(red, _0), max(green, _0), max(blue, _0)
+                    mine = np.int64(wanted[place]) if stage == MORE else most
+                    if mine == 0:
+                        continue
+                    _terms(
+                        lights.columns, points.position[i, 0], points.position[i, 1], points.position[i, 2],
+                        points.ns[i, 0], points.ns[i, 1], points.ns[i, 2], points.ng[i, 0], points.ng[i, 1], points.ng[i, 2], g_max, term,
+                    )  # fmt: skip
+                    _visible(pixels, table, codes, number, lights.first, place, x, y, reach2, of_val, visible)
+                    red, green, blue, seen_red, seen_green, seen_blue = _weigh(lights.columns, term, visible, importance)
+                    share = _1
+                    if stage == MORE:
+                        share = np.float32(mine) / (found.rays[place] + np.float32(mine))
+                        found.rest[place] *= _1 - share
+                        found.squares[place] *= (_1 - share) * (_1 - share)
+                        found.rays[place] += np.float32(mine)
+                    else:
+                        found.clear[place, 0], found.clear[place, 1], found.clear[place, 2] = red, green, blue
+                        found.mapped[place, 0], found.mapped[place, 1], found.mapped[place, 2] = seen_red, seen_green, seen_blue
+                        found.rest[place] = _0
+                        found.squares[place] = _0
+                        found.rays[place] = np.float32(mine)
+                    total = _part_sums(importance, parts)
+                    if not total > _0:
+                        continue
+                    _draw(importance, parts, total, u, chosen[:mine], weight)
+                    for s in range(mine):
+                        j = chosen[s]
+                        light_of[s, filled], weight_of[s, filled], seen_of[s, filled] = j, weight[s] * term[j] * share, visible[j]
+                    weight_of[mine:, filled] = _0
+                    places[filled] = place
+                    filled += 1
+                    if filled == WIDTH:
+                        rays += _trace(scene, packet, rows, surface, cutouts, through, points, pixels, lights, drawn, filled, found)
+                        filled = 0
+    rays += _trace(scene, packet, rows, surface, cutouts, through, points, pixels, lights, drawn, filled, found)
     return rays
 
 
-@kernel
-def _surprise(points, pixels, table, lights, seen, begin, end, reach2, g_max, own, light):
-    """What is unlike between what the points at places begin..end-1 see and what others on both sides do that hold the same share.
-
-    own: (N,) shares.  Into light (N, 2): the light of their shares that is unlike, and all of it.
-    """
-    size, width, first = pixels.interleave, pixels.width, pixels.first
+@inlined
+def _is_drawn(pixels, found, place, x, y, step):
+    """Whether a point's light is to be found in windows of so many pixels: coarse ones in fine windows only beside others that have drawn."""
+    if not found.rays[place] > _0:
+        return False
+    if x % STEP != 0 or y % STEP != 0:
+        return step == 1
+    if step == STEP:
+        return True
+    width, first = pixels.width, pixels.first
     last = len(first) - 1
-    each = seen.shape[1]
-    for place in range(begin, end):
-        i = pixels.order[place]
-        x, y = points.pixel[i] % width, points.pixel[i] // width
-        light[place, 0] = light[place, 1] = _0
-        for axis in range(2):
-            a = b = -1
-            for side in range(-1, 2, 2):
-                u, v = (x + side * size, y) if axis == 0 else (x, y + side * size)
-                at = v * width + u
-                if u < 0 or v < 0 or u >= width or at >= last:
-                    continue
-                for k in range(first[at], first[at + 1]):
-                    if alike(table, place, k, reach2):
-                        a, b = k, a
-                        break
-            if a < 0:
-                continue
-            b = a if b < 0 else b
-            off = total = _0
-            for c in range(each):
-                s, sa, sb = _value(seen[place, c]), _value(seen[a, c]), _value(seen[b, c])
-                j = own[place] * each + c
-                dx, dy, dz = lights[0, j] - table[place, 0], lights[1, j] - table[place, 1], lights[2, j] - table[place, 2]
-                r2 = max(dx * dx + dy * dy + dz * dz, np.float32(1e-30))
-                at_point = max(_0, points.ns[i, 0] * dx + points.ns[i, 1] * dy + points.ns[i, 2] * dz)
-                at_light = max(_0, -(lights[3, j] * dx + lights[4, j] * dy + lights[5, j] * dz))
-                g = min(at_point * at_light / (r2 * r2), g_max) * lights[9, j]
-                off += g * max(max(s - max(sa, sb), min(sa, sb) - s), _0)
-                total += g * max(s, max(sa, sb))
-            if light[place, 1] == _0 or off * light[place, 1] > light[place, 0] * total:
-                light[place, 0], light[place, 1] = off, total
+    for v in range(max(y - 1, 0), y + 2):
+        for u in range(max(x - 1, 0), min(x + 2, width)):
+            if (u != x or v != y) and v * width + u < last:
+                for k in range(first[v * width + u], first[v * width + u + 1]):
+                    if found.rays[k] > _0:
+                        return True
+    return False
 
 
 @kernel
-def _narrow(points, pixels, light, begin, end, narrow):
-    """Which points at places begin..end-1 lie in or at features too narrow for interleaving, by the surprises around them, into narrow (N,)."""
+def _guide(points, pixels, table, found, begin, end, reach2, step, guide):
+    """What rays add to the points at places begin..end-1, of their unshadowed light, by windows of 3 x 3, and its variance, into guide (N, 2)."""
     width, first = pixels.width, pixels.first
     last = len(first) - 1
     for place in range(begin, end):
-        pixel = points.pixel[pixels.order[place]]
-        x, y = pixel % width, pixel // width
-        off = total = _0
-        for v in range(max(y - 1, 0), y + 2):
-            for u in range(max(x - 1, 0), min(x + 2, width)):
-                if v * width + u < last:
+        i = pixels.order[place]
+        x, y = points.pixel[i] % width, points.pixel[i] // width
+        if not _is_drawn(pixels, found, place, x, y, step):
+            continue
+        rest = clear = squares = rays = _0
+        for dv in range(-1, 2):
+            v = y + dv * step
+            if v < 0 or v * width >= last:
+                continue
+            for du in range(-1, 2):
+                u = x + du * step
+                if u < 0 or u >= width or v * width + u >= last:
+                    continue
+                for k in range(first[v * width + u], first[v * width + u + 1]):
+                    if found.rays[k] > _0 and (k == place or alike(table, place, k, reach2)):
+                        w = found.rays[k] * (_HALF if du != 0 else _1) * (_HALF if dv != 0 else _1)
+                        rest += w * (found.rest[k, 0] + found.rest[k, 1] + found.rest[k, 2]) * _THIRD
+                        clear += w * (found.clear[k, 0] + found.clear[k, 1] + found.clear[k, 2]) * _THIRD
+                        squares += w * w * found.squares[k]
+                        rays += w
+        clear = max(clear, _TINY)
+        guide[place, 0] = rest / clear
+        guide[place, 1] = squares / (clear * clear) + _1 / (rays * rays) + np.float32(SURE * SURE)
+
+
+@inlined
+def _lit(found, place, c, rest, clear):
+    """Light of a point in one channel, by what rays add to its unshadowed light, between none and all of that."""
+    own = found.clear[place, c]
+    return min(max(found.mapped[place, c] + own * rest / max(clear, _TINY), _0), own)
+
+
+@kernel
+def _share(points, pixels, table, found, guide, begin, end, reach2, reach, step, again, wanted, even, shaped):
+    """Light at the points at places begin..end-1 that have drawn, with the rays of those alike in windows of 2 `reach` `step` pixels.
+
+    Of all of them into even (N, 6): light; by how many of its variances the guide is off; the light's variance; the share of the window on other surfaces.
+    Of those whose guides agree into shaped (N, 4): light and its variance.  Variances are of parts of the unshadowed light.
+    again: only of those that wanted more rays.
+    """
+    width, first = pixels.width, pixels.first
+    last = len(first) - 1
+    for place in range(begin, end):
+        i = pixels.order[place]
+        x, y = points.pixel[i] % width, points.pixel[i] // width
+        if (again and wanted[place] == 0) or not _is_drawn(pixels, found, place, x, y, step):
+            continue
+        others = same = _0
+        red = green = blue = clear_red = clear_green = clear_blue = all_squares = all_rays = _0
+        rest = clear = squares = rays = _0
+        for dv in range(-reach, reach + 1):
+            v = y + dv * step
+            if v < 0 or v * width >= last:
+                continue
+            wy = _HALF if abs(dv) == reach else _1
+            for du in range(-reach, reach + 1):
+                u = x + du * step
+                if u < 0 or u >= width or v * width + u >= last:
+                    continue
+                wx = _HALF if abs(du) == reach else _1
+                for k in range(first[v * width + u], first[v * width + u + 1]):
+                    if not found.rays[k] > _0:
+                        continue
+                    if not (k == place or alike(table, place, k, reach2)):
+                        others += wx * wy
+                        continue
+                    same += wx * wy
+                    w = wx * wy
+                    r, g, b = found.rest[k, 0], found.rest[k, 1], found.rest[k, 2]
+                    cr, cg, cb = found.clear[k, 0], found.clear[k, 1], found.clear[k, 2]
+                    red, green, blue = red + w * r, green + w * g, blue + w * b
+                    clear_red, clear_green, clear_blue = clear_red + w * cr, clear_green + w * cg, clear_blue + w * cb
+                    all_squares, all_rays = all_squares + w * w * found.squares[k], all_rays + w * found.rays[k]
+                    off = guide[k, 0] - guide[place, 0]
+                    like = _1 - off * off / (np.float32(ALIKE) * (guide[k, 1] + guide[place, 1]))
+                    if like > _0:
+                        w *= like * found.rays[k]
+                        rest, clear = rest + w * (r + g + b), clear + w * (cr + cg + cb)
+                        squares, rays = squares + w * w * found.squares[k], rays + w
+        light = even[place]
+        light[0], light[1], light[2] = (
+            _lit(found, place, 0, red, clear_red), _lit(found, place, 1, green, clear_green), _lit(found, place, 2, blue, clear_blue)
+        )  # fmt: skip
+        mean = max((clear_red + clear_green + clear_blue) * _THIRD, _TINY)
+        off = guide[place, 0] - (red + green + blue) * _THIRD / mean
+        light[3] = off * off / guide[place, 1]
+        light[4] = np.float32(STRATIFIED) * all_squares / (mean * mean) + _1 / (all_rays * all_rays)
+        if not again:
+            light[5] = others / (others + same)
+        # Its colour is that of the whole window: few rays tell brightness well enough, but not colour.
+        own, mapped = found.clear[place], found.mapped[place]
+        own_sum = own[0] + own[1] + own[2]
+        wanted_sum = min(max(mapped[0] + mapped[1] + mapped[2] + own_sum * rest / max(clear, _TINY), _0), own_sum)
+        sum_ = light[0] + light[1] + light[2]
+        for c in range(3):
+            shaped[place, c] = wanted_sum * (light[c] / sum_ if sum_ > np.float32(0.01) * own_sum else own[c] / max(own_sum, _TINY))
+        mean = max(clear * _THIRD, _TINY)
+        shaped[place, 3] = squares / (mean * mean) + _1 / (rays * rays)
+
+
+@kernel
+def _settle(points, pixels, table, found, even, shaped, begin, end, reach2, step, floor, again, wanted, out):
+    """Light of the points at places begin..end-1 into out (N, 3): the even mean where nothing is unlike it, else the shaped one.
+
+    How many rays they want beyond what they have, into wanted (N,).
+    """
+    width, first = pixels.width, pixels.first
+    last = len(first) - 1
+    for place in range(begin, end):
+        i = pixels.order[place]
+        x, y = points.pixel[i] % width, points.pixel[i] // width
+        if (again and wanted[place] == 0) or not _is_drawn(pixels, found, place, x, y, step):
+            continue
+        if not again:
+            off = count = _0
+            around = 2 if step > 1 else 1
+            for dv in range(-around, around + 1):
+                v = y + 2 * dv * step
+                if v < 0 or v * width >= last:
+                    continue
+                for du in range(-around, around + 1):
+                    u = x + 2 * du * step
+                    if u < 0 or u >= width or v * width + u >= last:
+                        continue
                     for k in range(first[v * width + u], first[v * width + u + 1]):
-                        off += light[k, 0]
-                        total += light[k, 1]
-        narrow[place] = off > np.float32(SURPRISE) * total
+                        if k == place or (_is_drawn(pixels, found, k, u, v, step) and alike(table, place, k, reach2)):
+                            off, count = off + even[k, 3], count + _1
+            t = (off / count - np.float32(EVEN)) / np.float32(SHAPED - EVEN)
+            if step == 1:
+                t = max(t, (even[place, 5] - np.float32(CUT)) / np.float32(CUT_OFF - CUT))
+            even[place, 5] = min(max(t, _0), _1)
+        t = even[place, 5]
+        for c in range(3):
+            out[i, c] = even[place, c] + t * (shaped[place, c] - even[place, c])
+        if step == 1 and not again:
+            # The error to expect, of the light.
+            variance = even[place, 4] + t * (shaped[place, 3] - even[place, 4])
+            clear = found.clear[place, 0] + found.clear[place, 1] + found.clear[place, 2]
+            error = np.sqrt(variance) * clear / (out[i, 0] + out[i, 1] + out[i, 2] + floor)
+            times = error * error * np.float32(1 / (NOISE * NOISE)) - _1
+            wanted[place] = np.uint8(min(times * found.rays[place], np.float32(MOST))) if times > _0 else np.uint8(0)
+
+
+def shared_lights(vpls: Vpls, val: np.ndarray, maps: SoftShadowMaps, front: np.ndarray, back: np.ndarray) -> Lights:
+    """`Lights` of N VPLs that are in the order of their VALs, val (N,); front, back: (M,) int32, as in `Lights`."""
+    n = len(val)
+    columns = np.zeros((11, -(-n // PART) * PART), np.float32)
+    columns[0:3, :n], columns[3:6, :n], columns[6:9, :n] = vpls.position.T, vpls.normal.T, vpls.flux.T * np.float32(1 / np.pi)
+    columns[9], columns[10, :n] = columns[6:9].mean(axis=0), vpls.error
+    first = np.searchsorted(val, np.arange(len(front) + 1)).astype(np.int32)
+    bounds = np.zeros((len(front), 4), np.float32)
+    for m, (begin, end) in enumerate(itertools.pairwise(first)):
+        if end > begin:
+            bounds[m, :3] = vpls.position[begin:end].mean(axis=0)
+            bounds[m, 3] = np.linalg.norm(vpls.position[begin:end] - bounds[m, :3], axis=1).max()
+    return Lights(columns, first, bounds, vpls, maps, front, back)
 
 
 def gather(
     scene: Transport,
     points: ShadingPoints,
     pixels: Pixels,
-    lights: np.ndarray,
-    seen: np.ndarray,
+    lights: Lights,
     extent: float,
     g_max: float,
-    floor: float,
     cutouts: bool,
     seed: int = 0,
     threads: int = 0,
+    progress: Progress | None = None,
+    timed: Callable[[str], AbstractContextManager] = nullcontext,
 ) -> tuple[np.ndarray, int]:
     """Light of all VPLs (N, 3) at N points, and the shadow rays traced.
 
-    lights: (11, S * K) float32, S shares of K VPLs: positions, normals, flux / pi (rgb) and its mean, error of the position; zeros for none.
-    seen: (N, K) uint8, what the points, by pixel, see of their own shares, as `code_of` has it; K is a multiple of 8.
-    extent: of the scene (m).  g_max: clamp.  floor: light (W/m^2) of which errors matter everywhere.
+    extent: of the scene (m).  g_max: clamp.  timed: gets the names of stages, "indirect light" and "blur".
     """
     n = len(points.pixel)
     out = np.zeros((n, 3), np.float32)
     table, reach2 = by_place(points, pixels), np.float32((ALPHA * extent) ** 2)
-    words, size = seen.view(np.uint64), pixels.interleave
-    g_max, floor = np.float32(g_max), np.float32(floor)
     pixel = points.pixel[pixels.order]
-    own = shares_of_residues(size)[(pixel // pixels.width % size) * size + pixel % pixels.width % size]
-    light, narrow = np.empty((n, 2), np.float32), np.empty(n, np.bool_)
-    run_chunks(lambda b, e: _surprise(points, pixels, table, lights, seen, b, e, reach2, g_max, own, light), n, POINTS, threads)
-    run_chunks(lambda b, e: _narrow(points, pixels, light, b, e, narrow), n, POINTS, threads)
+    x, y = pixel % pixels.width, pixel // pixels.width
+    looking = (x % MAP_STEP == 0) & (y % MAP_STEP == 0)
+    at, number = np.flatnonzero(looking), np.cumsum(looking, dtype=np.int32) - np.int32(1)
+    codes = np.empty((len(at), len(lights.front)), np.uint8)
+    found = Found(*(np.empty((n, 3), np.float32) for _ in range(3)), np.zeros(n, np.float32), np.empty(n, np.float32))
+    guide, even, shaped = np.empty((n, 2), np.float32), np.zeros((n, 6), np.float32), np.empty((n, 4), np.float32)
+    wanted = np.zeros(n, np.uint8)
     rows = (len(pixels.first) - 2) // pixels.width + 1
-    blocks = -(-pixels.width // size) * -(-rows // size)
+    blocks = -(-pixels.width // BLOCK) * -(-rows // BLOCK)
+    g_max, seed, floor = np.float32(g_max), seed % BLOCK**2, _0
     rays = 0
-    for coarse in (True, False):
+    with timed("indirect light"):
+        run_chunks(lambda b, e: _map_codes(points, pixels, lights, at, b, e, codes), len(at), COARSE_POINTS, threads)
+    for stage in (COARSE, FINE, MORE):
+        again = stage == MORE
+        if again and not wanted.any():
+            break
+        most = (COARSE_DRAWN, max(DRAWN // pixels.interleave**2, 1), MOST)[stage]
+        step, window = (STEP, WINDOW) if stage == COARSE else (1, min(max(pixels.interleave // 2, 1), WINDOW))
 
-        def work(begin, end, coarse=coarse):
-            return _gather(
-                scene, points, pixels, table, lights, seen, words, begin, end, reach2, g_max, floor, narrow, np.uint32(seed), cutouts, coarse, out
-            )  # fmt: skip
+        def look(begin, end, stage=stage, most=most):
+            return _look(
+                scene,
+                points,
+                pixels,
+                table,
+                lights,
+                number,
+                begin,
+                end,
+                reach2,
+                g_max,
+                most,
+                seed,
+                cutouts,
+                stage,
+                codes,
+                wanted,
+                found,
+                out,
+            )
 
-        rays += sum(run_chunks(work, blocks, BLOCKS, threads))
+        def guides(begin, end, step=step):
+            _guide(points, pixels, table, found, begin, end, reach2, step, guide)
+
+        def share(begin, end, step=step, window=window, again=again):
+            _share(points, pixels, table, found, guide, begin, end, reach2, window, step, again, wanted, even, shaped)
+
+        def settle(begin, end, step=step, again=again, floor=floor):
+            _settle(points, pixels, table, found, even, shaped, begin, end, reach2, step, floor, again, wanted, out)
+
+        with timed("indirect light"):
+            rays += sum(run_chunks(look, blocks, BLOCKS, threads, part(progress, stage / 3, (stage + 1) / 3)))
+        with timed("blur"):
+            for work in (guides, share, settle):
+                run_chunks(work, n, POINTS, threads)
+        if stage == COARSE:
+            coarse = out[pixels.order[(x % STEP == 0) & (y % STEP == 0)]]
+            floor = np.float32(3 * FLOOR) * coarse.mean(dtype=np.float32) if len(coarse) else _0
     return out, rays

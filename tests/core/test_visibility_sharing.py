@@ -1,21 +1,19 @@
-"""What the points of a block tell each other, against slow oracles."""
+"""What points draw, and what neighbours make of it, against slow oracles."""
 
 import numpy as np
 import pytest
 
 from lumigate.core.lamps import build_emitters
 from lumigate.core.methods.instant_radiosity import InstantRadiosity
-from lumigate.core.methods.interleaving import by_place, pixels_of
 from lumigate.core.methods.virtual_area_lights import VirtualAreaLights
-from lumigate.core.methods.visibility_sharing import DRAWN, LEVELS, _draw, _holders, _mix, _narrow, _surprise, _terms
+from lumigate.core.methods.visibility_sharing import BLOCK, LEAST_DOUBT, PART, _draw, _part_sums, _rank, _terms, _weigh
 from lumigate.core.metrics import relmse
 from lumigate.core.particles import Vpls
 from lumigate.core.rays import RayScene
 from lumigate.core.transport import transport
 from lumigate.core.view.points import ShadingPoints
 
-WIDTH, SIZE, EACH = 24, 4, 8
-SHARES = SIZE**2
+WIDTH, COUNT = 24, 128
 
 
 @pytest.fixture
@@ -35,15 +33,15 @@ def points():
 def lights():
     """Columns of 128 lights above that shine down."""
     rng = np.random.default_rng(7)
-    columns = np.zeros((11, SHARES * EACH), np.float32)
-    columns[0:2], columns[2], columns[5] = rng.uniform(0, 2.4, (2, SHARES * EACH)), 1.5, -1
-    columns[6:9] = rng.uniform(0.5, 1.5, (3, SHARES * EACH))
+    columns = np.zeros((11, COUNT), np.float32)
+    columns[0:2], columns[2], columns[5] = rng.uniform(0, 2.4, (2, COUNT)), 1.5, -1
+    columns[6:9] = rng.uniform(0.5, 1.5, (3, COUNT))
     columns[9] = columns[6:9].mean(axis=0)
     return columns
 
 
 def test_terms_against_a_loop(points, lights):
-    term = np.empty(SHARES * EACH, np.float32)
+    term = np.empty(COUNT, np.float32)
     p = points.position[77]
     _terms(lights, *p, np.float32(0.6), np.float32(0), np.float32(0.8), np.float32(0), np.float32(0), np.float32(1), np.float32(0.5), term)
     for j in range(len(term)):
@@ -52,81 +50,59 @@ def test_terms_against_a_loop(points, lights):
         assert term[j] == pytest.approx(min(g, 0.5), rel=1e-4, abs=1e-6)
 
 
-def test_bilinear_mean_of_those_that_hold_a_share(points):
-    pixels = pixels_of(points, WIDTH, SIZE)
-    codes = np.random.default_rng(1).integers(1, LEVELS + 1, (WIDTH * WIDTH, EACH)).astype(np.uint8)
-    agreed, facing, guessed = np.zeros(SHARES, bool), np.ones(SHARES, bool), np.empty(SHARES, bool)
-    holder, weight = np.empty((SHARES, 4), np.int64), np.empty((SHARES, 4), np.float32)
-    visible, low, high = (np.empty(SHARES * EACH, np.float32) for _ in range(3))
-    x, y = 10, 9
-    place = y * WIDTH + x
-    _holders(
-        pixels, by_place(points, pixels), place, x, y, x // SIZE * SIZE, y // SIZE * SIZE, np.float32(1e9), agreed, facing, holder, weight, guessed
-    )  # fmt: skip
-    _mix(codes, agreed, facing, holder, weight, guessed, visible, low, high)
-    assert not guessed.any()
-    for share in range(SHARES):
-        expected, total, around = np.zeros(EACH), 0, []
-        for v in range(y - SIZE + 1, y + SIZE):
-            for u in range(x - SIZE + 1, x + SIZE):
-                if u % SIZE == pixels.across[share] and v % SIZE == pixels.down[share]:
-                    w = (1 - abs(u - x) / SIZE) * (1 - abs(v - y) / SIZE)
-                    seen = (codes[v * WIDTH + u] - 1.0) / (LEVELS - 1)
-                    expected, total = expected + w * seen, total + w
-                    around.append(seen)
-        at = slice(share * EACH, (share + 1) * EACH)
-        assert total == pytest.approx(1)
-        assert np.allclose(visible[at], expected, atol=1e-5)
-        assert np.allclose(low[at], np.min(around, axis=0), atol=1e-6) and np.allclose(high[at], np.max(around, axis=0), atol=1e-6)
+def test_light_and_importance_against_numpy(lights):
+    rng = np.random.default_rng(4)
+    term, visible = rng.uniform(0, 1, (2, COUNT)).astype(np.float32)
+    importance = np.empty(COUNT, np.float32)
+    sums = _weigh(lights, term, visible, importance)
+    assert np.allclose(sums[:3], (term * lights[6:9]).sum(axis=1), rtol=1e-5)
+    assert np.allclose(sums[3:], (visible * term * lights[6:9]).sum(axis=1), rtol=1e-5)
+    doubt = np.maximum(np.sqrt(visible * (1 - visible)), LEAST_DOUBT)
+    assert np.allclose(importance, term * lights[9] * doubt, rtol=1e-5)
 
 
-def test_other_surfaces_are_a_guess(points):
-    points.ng[:, 2], points.ng[:, 0] = 0, 1
-    points.ng[100] = 0, 0, 1
-    pixels = pixels_of(points, WIDTH, SIZE)
-    agreed, facing, guessed = np.zeros(SHARES, bool), np.ones(SHARES, bool), np.empty(SHARES, bool)
-    holder, weight = np.empty((SHARES, 4), np.int64), np.empty((SHARES, 4), np.float32)
-    y, x = divmod(100, WIDTH)
-    _holders(
-        pixels, by_place(points, pixels), 100, x, y, x // SIZE * SIZE, y // SIZE * SIZE, np.float32(1e9), agreed, facing, holder, weight, guessed
-    )  # fmt: skip
-    assert guessed.sum() == SHARES - 1  # it knows its own
+def drawn(importance, count, u):
+    """Lights drawn, and the weights of what each gives."""
+    parts = np.empty(COUNT // PART, np.float32)
+    total = _part_sums(importance, parts)
+    chosen, weight = np.empty(count, np.int64), np.empty(count, np.float32)
+    _draw(importance, parts, total, np.float32(u), chosen, weight)
+    return chosen, weight
 
 
 @pytest.mark.parametrize("u", [0.0, 0.3, 0.99])
-def test_drawn_lights_give_all_light_where_all_are_seen(points, lights, u):
-    term = np.random.default_rng(5).uniform(0, 1, SHARES * EACH).astype(np.float32) ** 4
-    chosen, scale = np.empty(SHARES * EACH + 1, np.int64), np.empty(SHARES * EACH + 1, np.float32)
-    count = _draw(lights, term, np.float32(u), chosen, scale)
-    assert 0 < count <= DRAWN + 1 and len(np.unique(chosen[:count])) == count
-    light = term * lights[9]
-    assert (scale[:count] * light[chosen[:count]]).sum() == pytest.approx(light.sum(), rel=1.5 / DRAWN)
+def test_draws_stand_for_all_importance(u):
+    importance = np.random.default_rng(5).uniform(0, 1, COUNT).astype(np.float32) ** 4
+    chosen, weight = drawn(importance, 16, u)
+    assert (np.diff(chosen) >= 0).all()  # a stratum each
+    assert len(np.unique(chosen[weight > 0])) == np.count_nonzero(weight)  # each light is traced once
+    assert (weight * importance[chosen]).sum() == pytest.approx(importance.sum(), rel=1e-4)
 
 
-def test_drawing_has_no_bias(lights):
-    term = np.random.default_rng(6).uniform(0, 1, SHARES * EACH).astype(np.float32)
-    visible = np.random.default_rng(7).uniform(0, 1, SHARES * EACH)
-    chosen, scale = np.empty(SHARES * EACH + 1, np.int64), np.empty(SHARES * EACH + 1, np.float32)
-    light = term * lights[9]
+def test_drawing_has_no_bias():
+    rng = np.random.default_rng(6)
+    importance, light = rng.uniform(0, 1, (2, COUNT)).astype(np.float32)
     sums = []
     for u in (np.arange(500) + 0.5) / 500:
-        count = _draw(lights, term, np.float32(u), chosen, scale)
-        at = chosen[:count]
-        sums.append((scale[:count] * light[at] * visible[at]).sum())
-    assert np.mean(sums) == pytest.approx((light * visible).sum(), rel=0.01)
+        chosen, weight = drawn(importance, 16, u)
+        sums.append((weight * light[chosen]).sum())
+    assert np.mean(sums) == pytest.approx(light.sum(), rel=0.01)
 
 
-def test_a_strip_that_is_narrower_than_a_block_is_noticed(points, lights):
-    pixels = pixels_of(points, WIDTH, SIZE)
-    x = points.pixel % WIDTH
-    seen = np.full((WIDTH * WIDTH, EACH), LEVELS, np.uint8)
-    seen[x == 12] = 1
-    share = np.argsort(pixels.down * SIZE + pixels.across)[(points.pixel // WIDTH % SIZE) * SIZE + x % SIZE]
-    light, narrow = np.empty((WIDTH * WIDTH, 2), np.float32), np.empty(WIDTH * WIDTH, bool)
-    table = by_place(points, pixels)
-    _surprise(points, pixels, table, lights, seen, 0, len(seen), np.float32(1e9), np.float32(1e9), share, light)
-    _narrow(points, pixels, light, 0, len(seen), narrow)
-    assert narrow[(x >= 11) & (x <= 13)].all() and not narrow[(x < 11) | (x > 13)].any()
+def test_lights_without_importance_are_not_drawn():
+    importance = np.zeros(COUNT, np.float32)
+    importance[[3, 40, 41, 100]] = 1, 2, 1e-12, 1
+    for u in np.linspace(0, 1, 33)[:-1]:
+        chosen, weight = drawn(importance, 32, u)
+        assert np.isin(chosen[weight > 1e-3], [3, 40, 100]).all() and weight.max() <= 4 / 32 * 32
+
+
+def test_ranks_fill_blocks_evenly():
+    ranks = np.array([[_rank(x, y) for x in range(BLOCK)] for y in range(BLOCK)])
+    assert np.array_equal(np.sort(ranks, axis=None), np.arange(BLOCK**2))
+    for y in range(0, BLOCK, 2):
+        for x in range(0, BLOCK, 2):
+            assert np.array_equal(np.sort(ranks[y : y + 2, x : x + 2] // 16, axis=None), np.arange(4))
 
 
 def test_a_slit_between_lit_floors(build):
