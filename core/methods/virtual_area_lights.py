@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..clustering.area_lights import WEIGHT_ANGLE, WEIGHT_POSITION, AreaLights, cluster_area_lights, nearest_area_light
+from ..clustering.area_lights import WEIGHT_ANGLE, WEIGHT_POSITION, AreaLights, chained, cluster_area_lights, nearest_area_light
 from ..jit import kernel
 from ..particles import Vpls, is_ahead
 from ..rays.offsets import shadow_segment
@@ -219,7 +219,7 @@ class VirtualAreaLights:
         self.g_max = np.float32(clamp_of(vpls, points))
         self.extent = max(float(np.ptp(vpls.position, axis=0).max()), 1e-6)
         with self._stage("clustering"):
-            self.area_lights = self.group(vpls)
+            self.area_lights = chained(self.group(vpls), self.extent)
         order = self._order(vpls)
         front, back = _slots(self.area_lights)
         self.lights = SharedLights(vpls.take(order), self.area_lights.assignment[order], front, back)
@@ -237,7 +237,7 @@ class VirtualAreaLights:
         return cluster_area_lights(vpls.position, vpls.surface_normal, guess[np.arange(count) * len(guess) // count], self.extent)
 
     def _order(self, vpls: Vpls) -> np.ndarray:
-        """VPLs by VAL, and along its rectangle's longer side, so that neighbours are seen alike."""
+        """VPLs by VAL, each VAL's along its rectangle's longer side: neighbours are seen alike, so strata of them help."""
         lights = self.area_lights
         axis = lights.frame[np.arange(len(lights)), lights.half.argmax(axis=1)]
         along = np.einsum("nc,nc->n", vpls.position - lights.centre[lights.assignment], axis[lights.assignment])

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from lumigate.core.clustering.area_lights import cluster_area_lights
+from lumigate.core.clustering.area_lights import chained, cluster_area_lights
 from lumigate.core.sampling.sequences import halton_points
 
 M = 30
@@ -80,3 +80,18 @@ def test_lights_without_members_start_anew_or_are_dropped():
     assert len(cluster_area_lights(position, normal, np.array([3, 4, 5]), 2.0)) == 1
     with pytest.raises(ValueError, match="start from"):
         cluster_area_lights(position, normal, np.zeros(0, int), 2.0)
+
+
+def test_a_chain_keeps_the_lights_and_goes_to_the_nearest():
+    position, normal = spot_vpls(0.5)
+    lights = cluster_area_lights(position, normal, guess(), 2.0)
+    chain = chained(lights, 2.0)
+    for field in ("centre", "frame", "half", "depth", "spread", "medoid"):
+        assert np.array_equal(getattr(chain, field)[chain.assignment], getattr(lights, field)[lights.assignment])
+
+    def steps(found):
+        dx = np.linalg.norm(np.diff(found.centre, axis=0), axis=1) / 2.0
+        cosine = np.einsum("mc,mc->m", found.frame[1:, 2], found.frame[:-1, 2])
+        return 0.7 * dx + 0.3 * np.arccos(np.clip(cosine, -1, 1))
+
+    assert steps(chain).sum() < 0.6 * steps(lights).sum()
