@@ -37,7 +37,7 @@ LEVELS = 255  # of visibility by maps
 BLOCK = 8  # pixels along the edge of a piece of work, and of what is filled evenly by draws
 DRAWN = 256  # VPLs of interleave x interleave pixels
 STEP = 4  # pixels between the points whose light is computed everywhere
-COARSE_DRAWN = 16  # VPLs of such a point
+COARSE_DRAWN = 12  # VPLs of such a point
 MAP_STEP = 16  # pixels between the points that look at maps
 WINDOW = 3  # points on each side at most that share rays
 LEAST_DOUBT = 0.35  # of a VAL, against 0.5 of one that is half seen: maps err
@@ -50,7 +50,7 @@ EVEN, SHAPED = (
     1.0,
 )  # variances by which findings about a point are off its window's mean: up to which that is taken, from which the shaped one
 CUT, CUT_OFF = 0.1, 0.3  # share of a window that lies on other surfaces: the same
-NOISE = 0.17  # of a point's light: error to expect with which no more rays are wanted
+NOISE = 0.2  # of a point's light: error to expect with which no more rays are wanted
 MOST = 32  # rays that a point may want in addition
 FLOOR = 0.1  # of the mean light: errors of it matter everywhere
 FLAT = 0.998  # least cosine of the normals of points whose light is interpolated
