@@ -48,7 +48,7 @@ STRATIFIED = 0.25  # of the variance of independent rays: that of a whole window
 EVEN, SHAPED = (
     0.4,
     1.0,
-)  # variances by which findings about a point are off its window's mean: up to which that is taken, from which the shaped one
+)  # variances by which findings about a point are off its window's mean: at most to take that, at least for the shaped one
 CUT, CUT_OFF = 0.1, 0.3  # share of a window that lies on other surfaces: the same
 NOISE = 0.2  # of a point's light: error to expect with which no more rays are wanted
 MOST = 32  # rays that a point may want in addition
