@@ -2,8 +2,8 @@
 
 A shadow ray goes straight and cannot find what lenses throw (`surfaces.visibility` tells where one is in the way); virtual lights stand for what
 glossy lobes throw, but of no lobe narrower than `particles.BLUR`, and close by they are clamped.  Photons find both (Jensen 1996,
-"Global Illumination using Photon Maps"): they leave the lamps, are bent by clear glass and scattered by frosted glass, or reflected by the first
-lobe that they meet, and stay where they land after that.  Each shines on what lies among its nearest neighbours.  Lamps of no size have
+"Global Illumination using Photon Maps"): they leave the lamps, are bent by clear glass and scattered by frosted glass, or reflected by the
+lobes that they meet, and are told of where they land after that.  Each shines on what lies among its nearest neighbours.  Lamps of no size have
 none by lenses and mirrors, as in Cycles, whose paths cannot meet them by chance.
 """
 
@@ -358,7 +358,7 @@ def _traced(
     def work(begin, end):
         room = Photons.allocate((end - begin) * (MOST_LOBES if lobes else 1))
         n, rays = _fly(scene, begin, end, np.uint32(seed), lobes, bounces, room)
-        return Photons(*(column[:n] for column in room)), rays
+        return Photons(*(column[:n].copy() for column in room)), rays  # of room for many few are used
 
     parts = run_chunks(work, particles, CHUNK, threads, progress)
     return Photons(*(np.concatenate(columns) for columns in zip(*(part for part, _ in parts)))), sum(rays for _, rays in parts)
@@ -371,8 +371,8 @@ def trace_photons(
     """About so many photons `wanted` around points (N, 3), of `most` particles, none where nothing throws light on anything; and the rays traced.
 
     Their density, flux a unit of area, is the irradiance (W/m^2) that shadow rays miss; or, with `lobes`, what glossy surfaces reflect
-    of the lamps' light at first hand.  bounces: as of the picture.  worth: what the mean `Photons.narrow` of those around the points, weighed by
-    their light, must be at least; else there are none.  wide: part of the points that have wide lobes: to these what metal throws is worth as much as by narrow ones, for
+    of the lamps' light, one or several in turn; those of one are counted and asked for.  bounces: as of the picture.  worth: what the mean
+    `Photons.narrow` of those around the points, weighed by their light, must be at least; else there are none.  wide: part of the points that have wide lobes: to these what metal throws is worth as much as by narrow ones, for
     it is bright, and by rays from the lobes alone all noise.  nearest: above 0, there may be photons of wider lobes, too, where the disks of most, among so many
     neighbours, meet what they light.
 

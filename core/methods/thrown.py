@@ -2,8 +2,8 @@
 
 The cache knows what a lobe reflects of the lamps, but not where to: it spreads that as a diffuse surface would.  So a wall that low sun
 reaches by way of a polished floor is as bright to it as one beside, and the floor, which shows the one more than the other, too dark.
-Virtual lights know the direction.  Here they light the surfaces that gather rays meet, in place of what the cells around them have
-by their links to such lobes.  Light as a whole stays what it is.
+Virtual lights know the direction, and photons, which fly on from lobe to lobe.  Here they light the surfaces that gather rays meet, in place of what
+the cells around them have by their links to such lobes: the cache is solved again with the one and without the other.
 """
 
 from __future__ import annotations
@@ -125,18 +125,14 @@ def redirected(
     _parts(Reference(probes), links.link_cell, cache.trust, g_max, by_photons, part)
     weight = links.weight[rows, None]
     irradiance_of = _spread_over(links, rows, weight * irradiance, weight, threads)
-    new, others = builder.solve(thrown=Thrown(irradiance_of, links.shone if by_photons else links.shine, part))
+    shone, groups = links.shone if by_photons else links.shine, links.shine.shape[1] // 3
+    new, others = builder.solve(thrown=Thrown(irradiance_of, shone, part))
     # The irradiance itself is added to what paths find, less what their own links tell: those that meet no spark must not lack its light.
-    shine, groups = links.shine, links.shine.shape[1] // 3
-    albedo = np.tile(probes.albedo[rows], groups)
-    told = (
-        part[rows, None]
-        * np.tile(probes.carry[rows], groups)
-        * (links.shone if by_photons else shine)[np.maximum(links.link_cell[rows], 0)]
-    )
+    albedo, carry = (np.tile(values[rows], groups) for values in (probes.albedo, probes.carry))
+    told = part[rows, None] * carry * shone[np.maximum(links.link_cell[rows], 0)]
     told = without_sparks(np.divide(told, albedo, out=np.zeros_like(told), where=albedo > 0), weight[:, 0], links.cells[rows, -1])
     gain = _spread_over(links, rows, weight * (irradiance - told), weight, threads)
     lit, dull = cache.trust[:, None] * new.lit, new.sent
     if by_photons:
-        lit, dull = np.maximum(_0, lit - cache.trust[:, None] * shine), np.maximum(_0, dull - links.shone)
+        lit, dull = np.maximum(_0, lit - cache.trust[:, None] * links.shine), np.maximum(_0, dull - shone)
     return cache._replace(radiosity=new.radiosity, sent=new.sent, dull=dull, lit=lit, gain=np.ascontiguousarray(gain)), others
