@@ -165,13 +165,13 @@ class LightCache(NamedTuple):
 class Thrown(NamedTuple):
     """What lobes throw on surfaces of the lamps' light, in place of what links tell of it, which do not know where to lobes reflect it.
 
-    irradiance: (C, 3 G) float32 W/m^2, of the cells.  shine: (C, 3 G) float32 W/m^2, what cells send of such light, `shine` or `shone` of `Links`.
-    part: (N,) float32, of it that the probes' links bring, the part in whose place it stands.
+    irradiance: (C, 3 G) float32 W/m^2, of the cells.  part: (N,) float32, of the light of lobes that the probes' links bring, the part in whose
+    place it stands.  chains: whether it is that of several lobes, too.
     """
 
     irradiance: np.ndarray
-    shine: np.ndarray
     part: np.ndarray
+    chains: bool
 
 
 def no_cache() -> LightCache:
@@ -458,18 +458,23 @@ def _solve(
     carried = np.empty((len(link), direct.shape[1]), np.float32)
     # Of all that cells send, what lobes reflect of the lamps' light: one, or by glossy links several.
     one = np.einsum("hc,hck->ck", number_of / np.maximum(number, np.float32(1e-6)), shine)
-    shone = one
-    if thrown is not None:
-        shone = thrown.shine
+    bent, several = np.where(glossy[:, None], carry, _0), bool(one.any() and glossy.any())
+
+    def reflected(light: np.ndarray) -> np.ndarray:
+        """What one lobe reflects of the lamps' light, and the next one of `light` (C, 3 G)."""
+        run_chunks(lambda begin, end: carry_over(link, bent, glossy, light[None], 0, begin, end, taken), len(link), CHUNK, threads)
+        total = np.zeros_like(one)
+        add_to_cells(places, taken, total, threads)
+        smooth(total, linked, unit, parent, order, likeness)
+        return one + total
+
+    shone, taken = one, np.empty_like(carried)
+    if thrown is None:
+        for _ in range(turns * several):
+            shone = reflected(shone)
+    else:
+        several = several and thrown.chains
         brings_shine = np.where(kinds == DIFFUSE_LINK, thrown.part[knows[sending]], _0)[:, None] * np.tile(carry, one.shape[1] // 3)
-    elif one.any() and glossy.any():
-        bent, shone, total = np.where(glossy[:, None], carry, _0), one.copy(), np.empty_like(one)
-        for _ in range(turns):
-            run_chunks(lambda begin, end: carry_over(link, bent, glossy, shone[None], 0, begin, end, carried), len(link), CHUNK, threads)
-            total[:] = _0
-            add_to_cells(places, carried, total, threads)
-            smooth(total, linked, unit, parent, order, likeness)
-            np.add(one, total, out=shone)
     # Glossy and translucent links take no bounce: what they carry is found turn by turn.
     schedule = [(bounce, turn == 0) for bounce in range(len(radiosity)) for turn in range(turns)]
     for step, (bounce, first) in enumerate(schedule):
@@ -483,9 +488,9 @@ def _solve(
             threads,
         )
         if bounce and thrown is not None:
-            if first:  # each bounce is balanced by itself, and what lobes reflect with it
-                taken = brings_shine * (scale * shone)[link]
-            np.maximum(carried - taken, _0, out=carried)
+            if first:
+                less = brings_shine * shone[link]
+            np.maximum(carried - less, _0, out=carried)
         gathered = bounce == row and (step + 1 == len(schedule) or schedule[step + 1][0] > row)
         if gathered:
             halves[:] = summed(carried)
@@ -503,6 +508,8 @@ def _solve(
         # What the cells have got in this turn: of links that take no bounce, what they would bring in the next is already there.
         own[brings] += np.einsum("nk->n", carried[brought]) / weight[here & sending]
         _balance(own, seen_cell[looked], root, trust, bounce, radiosity, sums, scale)
+        if thrown is not None:  # as it goes into the cells' own light, turn by turn: a tenth would be left otherwise
+            shone = scale * (reflected(shone) if several else one)
         if gathered:
             for h in range(2):
                 smooth(halves[h], linked_of[h], unit, parent, order, _HALF * likeness)

@@ -126,7 +126,7 @@ def redirected(
     weight = links.weight[rows, None]
     irradiance_of = _spread_over(links, rows, weight * irradiance, weight, threads)
     shone, groups = links.shone if by_photons else links.shine, links.shine.shape[1] // 3
-    new, others = builder.solve(thrown=Thrown(irradiance_of, shone, part))
+    new, others = builder.solve(thrown=Thrown(irradiance_of, part, by_photons))
     # The irradiance itself is added to what paths find, less what their own links tell: those that meet no spark must not lack its light.
     albedo, carry = (np.tile(values[rows], groups) for values in (probes.albedo, probes.carry))
     told = part[rows, None] * carry * shone[np.maximum(links.link_cell[rows], 0)]
