@@ -128,7 +128,7 @@ class LightCache(NamedTuple):
     trust: (C,) float32, by which `share` is less than how bright the cell is would have it: see `trusted`.
     shine: float32, of what lobes that gather rays meet reflect of the lamps the part that photons do not bring, 0 or 1.  chained: float32, the same of
         what several lobes reflect, one after the other.  shone: (C, 3 G) W/m^2, what cells send of either that photons bring; no rows for none.
-    gain: (C, 3 G) float32 W/m^2, how much more irradiance each cell gets than its links tell, by what lobes throw on it (`thrown`); no rows for nothing.
+    gain: (C, 3 G) float32 W/m^2, how much more irradiance each cell gets than paths find that go on from it, by what lobes throw on it (`thrown`); no rows for nothing.
     centre: (C, 6) float32, middle and normal of the cells.  side: (C,) int32, their sides.
     root: (C,) int64, the coarsest cell around each.
     first: (C, 3 G) float32 W/m^2, of `sent`, what has come straight from lamps but for what narrow lobes reflect: the mean over all views, from which

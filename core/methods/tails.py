@@ -258,7 +258,9 @@ def path_light(
     """
     wr = wg = wb = _1
     left = bounces - 1
-    by_lobes = _1  # of what the lobes met now show of the lamps: `chained` for as long as lobes alone have led there
+    by_lobes = _1  # how much counts of what lobes that are met show of the lamps
+    # Where photons bring it, `cache.gain` has what diffuse surfaces get of it: by chance found, in a small lobe, it would be a spark.
+    by_gain = cache.chained if len(cache.gain) > 0 else _1
     mirrored = _1
     for vertex in range(bounces + _MORE_SURFACES):
         at = vertex * DIMENSIONS
@@ -283,7 +285,10 @@ def path_light(
             entered = OUTSIDE
         if vertex > 0:
             beyond *= mirrored * by_lobes
-        by_lobes = chained if kinds == GLOSSY and (vertex == 0 or by_lobes < _1) else _1
+        if kinds != GLOSSY:
+            by_lobes = by_gain if kinds == DIFFUSE else _1
+        elif vertex == 0:
+            by_lobes = chained
         wr, wg, wb = wr * tr, wg * tg, wb * tb
         if vertex == 0 and kinds == GLOSSY:  # lights carry none of what lobes reflect of other surfaces, but all that comes through
             wr, wg, wb = whole * wr, whole * wg, whole * wb

@@ -127,11 +127,14 @@ def redirected(
     irradiance_of = _spread_over(links, rows, weight * irradiance, weight, threads)
     shone, groups = links.shone if by_photons else links.shine, links.shine.shape[1] // 3
     new, others = builder.solve(thrown=Thrown(irradiance_of, part, by_photons))
-    # The irradiance itself is added to what paths find, less what their own links tell: those that meet no spark must not lack its light.
-    albedo, carry = (np.tile(values[rows], groups) for values in (probes.albedo, probes.carry))
-    told = part[rows, None] * carry * shone[np.maximum(links.link_cell[rows], 0)]
-    told = without_sparks(np.divide(told, albedo, out=np.zeros_like(told), where=albedo > 0), weight[:, 0], links.cells[rows, -1])
-    gain = _spread_over(links, rows, weight * (irradiance - told), weight, threads)
+    # The irradiance itself is added to what paths find, which leave out what photons bring, but not what lights do: less what their links tell of that.
+    gain = irradiance_of
+    if not by_photons:
+        albedo, carry = (np.tile(values[rows], groups) for values in (probes.albedo, probes.carry))
+        told = part[rows, None] * carry * shone[np.maximum(links.link_cell[rows], 0)]
+        # Those that meet no spark must not lack its light.
+        told = without_sparks(np.divide(told, albedo, out=np.zeros_like(told), where=albedo > 0), weight[:, 0], links.cells[rows, -1])
+        gain = _spread_over(links, rows, weight * (irradiance - told), weight, threads)
     lit, dull = cache.trust[:, None] * new.lit, new.sent
     if by_photons:
         lit, dull = np.maximum(_0, lit - cache.trust[:, None] * links.shine), np.maximum(_0, dull - shone)
