@@ -64,6 +64,7 @@ WORTHWHILE = 0.02  # share of the view's light that lobes throw, weighed by how 
 # Share of the view's light from which on all photons are traced, however wide the lobes (close by, the clamp leaves virtual lights' part to rays that know
 # no direction), and the least part of them.
 MUCH, LEAST_PART = 0.2, 0.125
+MOST_WANTED = 4.0  # times as many, where they bring more than that
 # Of the disks of photons by lobes as wide as virtual lights can tell, the least part that must meet something which they light, as so many of them tell: on leaves
 # and other small things photons are noisier than virtual lights.
 LEAST_MET, LOOKED_AT = 0.25, 1024
@@ -447,10 +448,12 @@ def by_lobes(
     # By powers of two, so that frames of a sequence agree.
     fewer = 2.0 ** round(0.5 * math.log2(max(len(position), 1) / MANY_POINTS))
     more = min(vpls / VPLS, MOST_BESIDE) * min(max(fewer, FEWEST_BESIDE), 1.0)
+    most = min(max(share / MUCH, 1.0), MOST_WANTED)  # of the greater part of the light, less noise
     wanted = part * more * BY_LOBES
-    nearest = int(np.clip(PART_NEAREST * wanted, FEWEST_NEAREST, MOST_NEAREST))
+    nearest = int(most * np.clip(PART_NEAREST * wanted, FEWEST_NEAREST, MOST_NEAREST))
+    wanted *= most
     photons, rays = trace_photons(
-        scene, position, wanted, int(part * more * MOST_BY_LOBES), bounces, seed, threads, progress,
+        scene, position, wanted, int(most * part * more * MOST_BY_LOBES), bounces, seed, threads, progress,
         lobes=True, worth=WORTHWHILE / share, wide=wide, nearest=nearest if share >= MUCH else 0,
     )  # fmt: skip
     first = photons.take(photons.lobes == 1)
