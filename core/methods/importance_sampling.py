@@ -713,16 +713,17 @@ class ImportanceSampling:
         return self.vpls, counts
 
     def _without_lobes(self) -> LightCache:
-        """The cache with what gather rays look up of surfaces whose lobes they follow."""
+        """The cache with what gather rays look up of surfaces whose lobes they follow, and what wide lobes look up beside that."""
         cache, links = self.cache, self.links
+        chains = np.maximum(0, cache.shone - self.shine) if self.caustics else cache.shone
         if not len(cache.share) or not cache.follow.any():
-            return cache._replace(matte=cache.dull, matte_lit=cache.lit, lobes=np.zeros_like(cache.dull))
+            return cache._replace(matte=cache.dull, matte_lit=cache.lit, lobes=np.zeros_like(cache.dull), chains=chains)
         followed = cache.follow.any(axis=1)[cache.side, None]
         reflected, shine = followed * links.reflected, followed * self.shine
         if self.caustics:
-            reflected = np.maximum(0, reflected - followed * (cache.shone - self.shine))
+            reflected, chains = np.maximum(0, reflected - followed * chains), ~followed * chains
         matte, lit = cache.dull - reflected - cache.shine * shine, cache.lit - (cache.shine * cache.trust)[:, None] * shine
-        return cache._replace(matte=matte, matte_lit=lit, lobes=reflected + shine)
+        return cache._replace(matte=matte, matte_lit=lit, lobes=reflected + shine, chains=chains)
 
     def _trace_photons(self, scene: Transport, points: ShadingPoints, count: int, seed: int, progress: Progress | None) -> int:
         """Photons in place of virtual lights and gather rays for what lobes reflect of the lamps, where that is much; the rays traced."""

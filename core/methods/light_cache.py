@@ -128,6 +128,7 @@ class LightCache(NamedTuple):
     trust: (C,) float32, by which `share` is less than how bright the cell is would have it: see `trusted`.
     shine: float32, of what lobes that gather rays meet reflect of the lamps the part that photons do not bring, 0 or 1.  chained: float32, the same of
         what several lobes reflect, one after the other.  shone: (C, 3 G) W/m^2, what cells send of either that photons bring; no rows for none.
+    chains: (C, 3 G) W/m^2, of `shone` what several lobes have reflected, of surfaces that are not followed: photons do not bring it to wide lobes.
     gain: (C, 3 G) float32 W/m^2, how much more irradiance each cell gets than paths find that go on from it, by what lobes throw on it (`thrown`); no rows for nothing.
     centre: (C, 6) float32, middle and normal of the cells.  side: (C,) int32, their sides.
     root: (C,) int64, the coarsest cell around each.
@@ -153,6 +154,7 @@ class LightCache(NamedTuple):
     shine: np.float32
     chained: np.float32
     shone: np.ndarray
+    chains: np.ndarray
     gain: np.ndarray
     centre: np.ndarray
     side: np.ndarray
@@ -195,6 +197,7 @@ def no_cache() -> LightCache:
         none,
         np.float32(1),
         np.float32(1),
+        none.reshape(0, 3),
         none.reshape(0, 3),
         none.reshape(0, 3),
         none.reshape(0, 6),
@@ -807,7 +810,7 @@ class CacheBuilder:
         dark, one = np.zeros((bounces, count, probes.direct.shape[1]), np.float32), np.float32(1)
         self.empty = LightCache(
             origin, size, keys, slot, dark, *(dark[0] for _ in range(6)), np.zeros(count, np.float32), one, self.later,
-            np.ones(count, np.float32), one, one, dark[0, :0], dark[0, :0], centre, side_of, np.arange(count), dark[0], by_view, follow,
+            np.ones(count, np.float32), one, one, dark[0, :0], dark[0, :0], dark[0, :0], centre, side_of, np.arange(count), dark[0], by_view, follow,
         )  # fmt: skip
         self.parent = _parents(self.empty, self.level_of, centre, side_of)
         root = np.arange(count)

@@ -127,4 +127,6 @@ def known_light(cache, cell, c, share, carried, more):
     """
     row = len(cache.radiosity) - 1
     light = cache.matte[cell, c] + share * (cache.radiosity[row, cell, c] - cache.radiosity[row - 1, cell, c])
+    if len(cache.chains) > 0:
+        light += cache.chains[cell, c]
     return light - carried * cache.matte_lit[cell, c] + more * (_1 - carried * cache.share[cell]) * cache.first[cell, c]
