@@ -463,7 +463,8 @@ def by_lobes(
     caustics, further = arranged(first, nearest, threads, tested=True, every=every), None
     rays += keep_light(scene, caustics, seed, threads)
     others = photons.take(photons.lobes > 1)
-    nearest = min(nearest, len(others.group) // MANY)
+    # As wide disks: wider ones would lose more of their light at edges and in corners.
+    nearest = min(max(FEWEST_AGAIN, nearest * len(others.group) // len(first.group)), len(others.group) // MANY)
     if nearest >= FEWEST_AGAIN and others.flux.sum() > LITTLE * first.flux.sum():
         further = arranged(others, nearest, threads, tested=True, every=min(every, max(1, nearest // LOOKS)))
         rays += keep_light(scene, further, seed, threads)

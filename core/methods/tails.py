@@ -266,7 +266,10 @@ def path_light(
         at = vertex * DIMENSIONS
         if left > 0 and len(cache.gain) > 0:
             cosine = lobe_cosine(sx, sy, sz, gx, gy, gz, wx, wy, wz)
-            _add_gain(scene, surface, cache, on, x, y, z, gx, gy, gz, cosine, seed, path, at, kr * wr, kg * wg, kb * wb, out, i)
+            full = last if left == 1 else _1  # to get there takes a bounce, as by a ray
+            _add_gain(
+                scene, surface, cache, on, x, y, z, gx, gy, gz, cosine, seed, path, at, full * kr * wr, full * kg * wg, full * kb * wb, out, i
+            )  # fmt: skip
         first = own if vertex == 0 else _1
         shine = sheen / max(own, np.float32(1e-6)) if vertex == 0 else mirrored * by_lobes
         aside = whole / max(own, np.float32(1e-6)) if vertex == 0 else _1
