@@ -65,7 +65,7 @@ from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
 from ..view.tile import FAINT, PERFECT
-from .light_cache import LightCache, add_known, find_cell, more_by_view, no_cache, take_lobes
+from .light_cache import LightCache, add_known, find_cell, more_by_view, no_cache, take_known
 from .tails import path_light, tail_light
 from .wide_lobes import (
     NARROW,
@@ -351,7 +351,7 @@ def _reflect_chunk(
                     if row > 0 and glossy < _1:
                         part = _INV_PI - part
                         add_known(cache, row - 1, cell, seen, part * wr, part * wg, part * wb, known, i)
-                    take_lobes(cache, cell, _INV_PI * wr, _INV_PI * wg, _INV_PI * wb, known, i)
+                    take_known(cache.lobes, cell, _INV_PI * wr, _INV_PI * wg, _INV_PI * wb, known, i)
                 if cell >= 0:
                     follow = at_view(cache.follow, cache.side[cell], seen)
                     if uniform(key, index, 1, 6) < follow:  # what its lobe reflects has a direction

@@ -94,8 +94,8 @@ class Links(NamedTuple):
     """How N probes and C cells of a cache hang together, for light whose direction is found later (`thrown`).
 
     cells: (N, LEVELS) int32, of the probes, from the finest on.  link_cell: (N,) int64, where their links end, negative where nothing is known.
-    weight: (N,) float32, of the probes in their cells.  shine: (C, 3 G) float32 W/m^2, of what cells send the lamps' light that lobes reflect;  shone: (C, 3 G), that and what several lobes have reflected, one after the other;  reflected: (C, 3 G), the
-    other light that they do.
+    weight: (N,) float32, of the probes in their cells.  shine: (C, 3 G) float32 W/m^2, of what cells send the lamps' light that lobes reflect;
+    shone: (C, 3 G), that and what several lobes have reflected, one after the other;  reflected: (C, 3 G), the other light that they do.
     parent: (C,) int64, the next coarser cell, -1 for none.  order: (C,) int64, the cells, the coarsest first.  unit: (C,) float32, what a probe of each weighs.
     """
 
@@ -129,7 +129,8 @@ class LightCache(NamedTuple):
     shine: float32, of what lobes that gather rays meet reflect of the lamps the part that photons do not bring, 0 or 1.  chained: float32, the same of
         what several lobes reflect, one after the other.  shone: (C, 3 G) W/m^2, what cells send of either that photons bring; no rows for none.
     chains: (C, 3 G) W/m^2, of `shone` what several lobes have reflected, of surfaces that are not followed: photons do not bring it to wide lobes.
-    gain: (C, 3 G) float32 W/m^2, how much more irradiance each cell gets than paths find that go on from it, by what lobes throw on it (`thrown`); no rows for nothing.
+    gain: (C, 3 G) float32 W/m^2, how much more irradiance each cell gets than paths find that go on from it, by what lobes throw on it (`thrown`);
+        no rows for nothing.
     centre: (C, 6) float32, middle and normal of the cells.  side: (C,) int32, their sides.
     root: (C,) int64, the coarsest cell around each.
     first: (C, 3 G) float32 W/m^2, of `sent`, what has come straight from lamps but for what narrow lobes reflect: the mean over all views, from which
@@ -292,21 +293,12 @@ def add_known(cache, row, cell, cosine, wr, wg, wb, out, i):
 
 
 @leaf
-def take_lobes(cache, cell, wr, wg, wb, out, i):
-    """Takes from row i of `out` (N, 3 G), weighed by w, what the lobes of a cell reflect that rays follow."""
+def take_known(light, cell, wr, wg, wb, out, i):
+    """Takes from row i of `out` (N, 3 G), weighed by w, what a part `light` (C, 3 G) of what cells send is in one of them."""
     for c in range(0, out.shape[1], 3):
-        out[i, c] -= wr * cache.lobes[cell, c]
-        out[i, c + 1] -= wg * cache.lobes[cell, c + 1]
-        out[i, c + 2] -= wb * cache.lobes[cell, c + 2]
-
-
-@leaf
-def take_shone(cache, cell, wr, wg, wb, out, i):
-    """Takes from row i of `out` (N, 3 G), weighed by w, what photons bring of what a cell sends."""
-    for c in range(0, out.shape[1], 3):
-        out[i, c] -= wr * cache.shone[cell, c]
-        out[i, c + 1] -= wg * cache.shone[cell, c + 1]
-        out[i, c + 2] -= wb * cache.shone[cell, c + 2]
+        out[i, c] -= wr * light[cell, c]
+        out[i, c + 1] -= wg * light[cell, c + 1]
+        out[i, c + 2] -= wb * light[cell, c + 2]
 
 
 @kernel

@@ -51,7 +51,7 @@ from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
 from ..threads import run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints, is_transmitting
-from .light_cache import LightCache, add_known, find_cell, no_cache, take_shone
+from .light_cache import LightCache, add_known, find_cell, no_cache, take_known
 
 CHUNK = 1024  # points a chunk
 _0 = np.float32(0.0)
@@ -339,7 +339,7 @@ def path_light(
                         out[i, c + 1] += more * kg * wg * (cache.radiosity[left, cell, c + 1] - cache.radiosity[left - 1, cell, c + 1])
                         out[i, c + 2] += more * kb * wb * (cache.radiosity[left, cell, c + 2] - cache.radiosity[left - 1, cell, c + 2])
                 if by_lobes < _1:
-                    take_shone(cache, cell, kr * wr, kg * wg, kb * wb, out, i)
+                    take_known(cache.shone, cell, kr * wr, kg * wg, kb * wb, out, i)
                 break
         wx, wy, wz = -dx, -dy, -dz
 

@@ -14,7 +14,7 @@ from ..jit import kernel
 from ..references import Reference
 from .light_cache import DEPTH, DIFFUSE_LINK, PRIOR, CacheBuilder, LightCache, Links, Probes, Thrown, add_to_cells, smooth
 
-LITTLE = 0.02  # of the light that links carry: below it the direction of what lobes reflect is not worth a ray
+LITTLE = 0.01  # of the light that links carry: below it the direction of what lobes reflect is not worth a ray
 ENOUGH = 65536  # probes that get a ray: their cells and those around them share what they find
 # Times the mean around it, by the coarsest cells: what a link tells beyond that is a spark, which is spread over all around.
 BRIGHT = np.float32(8.0)

@@ -45,10 +45,8 @@ LEAST_WEIGHT = np.float32(1e-3)  # of what one draw stands for: bounds the weigh
 SURE = 0.02  # of the unshadowed light: differences that are always taken for noise
 ALIKE = 1.5  # variances by which two points' findings differ that no longer share rays
 STRATIFIED = 0.25  # of the variance of independent rays: that of a whole window's
-EVEN, SHAPED = (
-    0.4,
-    1.0,
-)  # variances by which findings about a point are off its window's mean: at most to take that, at least for the shaped one
+# Variances by which findings about a point are off its window's mean: at most to take that, at least for the shaped one.
+EVEN, SHAPED = 0.4, 1.0
 CUT, CUT_OFF = 0.1, 0.3  # share of a window that lies on other surfaces: the same
 NOISE = 0.2  # of a point's light: error to expect with which no more rays are wanted
 MOST = 32  # rays that a point may want in addition
@@ -645,25 +643,8 @@ def gather(
 
         def look(begin, end, stage=stage, most=most):
             return _look(
-                scene,
-                points,
-                pixels,
-                table,
-                lights,
-                number,
-                begin,
-                end,
-                reach2,
-                g_max,
-                most,
-                seed,
-                cutouts,
-                stage,
-                codes,
-                wanted,
-                found,
-                out,
-            )
+                scene, points, pixels, table, lights, number, begin, end, reach2, g_max, most, seed, cutouts, stage, codes, wanted, found, out
+            )  # fmt: skip
 
         def guides(begin, end, step=step):
             _guide(points, pixels, table, found, begin, end, reach2, step, guide)
