@@ -48,6 +48,7 @@ STRATIFIED = 0.25  # of the variance of independent rays: that of a whole window
 # Variances by which findings about a point are off its window's mean: at most to take that, at least for the shaped one.
 EVEN, SHAPED = 0.4, 1.0
 CUT, CUT_OFF = 0.1, 0.3  # share of a window that lies on other surfaces: the same
+ENOUGH = 64  # rays of a window of which none passes: it is dark
 NOISE = 0.2  # of a point's light: error to expect with which no more rays are wanted
 MOST = 32  # rays that a point may want in addition
 FLOOR = 0.1  # of the mean light: errors of it matter everywhere
@@ -86,7 +87,7 @@ class Found(NamedTuple):
     """What N points, by pixel, know.
 
     clear, mapped: (N, 3) light of all VPLs if nothing were in the way, and as the maps show it.  rest: (N, 3) what rays add to the latter.
-    rays: (N,) float32, how many of them.  squares: (N,) float32, of what each adds, channels' mean.
+    rays: (N,) float32, how many of them.  squares: (N,) float32, of what each adds, channels' mean.  open: (N,) bool, whether one passed.
     """
 
     clear: np.ndarray
@@ -94,6 +95,7 @@ class Found(NamedTuple):
     rest: np.ndarray
     rays: np.ndarray
     squares: np.ndarray
+    open: np.ndarray
 
 
 @inlined
@@ -246,6 +248,7 @@ def _trace(scene, packet, rows, surface, cutouts, through, points, pixels, light
             at = points.position[pixels.order[place]]
             if cutouts and not is_ahead(lights.vpls, j, at[0], at[1], at[2]):
                 through[lane] = _0
+            found.open[place] |= max(through[lane, 0], through[lane, 1], through[lane, 2]) > _0
             for c in range(3):
                 found.rest[place, c] += w * columns[6 + c, j] * (through[lane, c] - v)
             off = w * columns[9, j] * ((through[lane, 0] + through[lane, 1] + through[lane, 2]) * _THIRD - v)
@@ -398,6 +401,7 @@ def _look(scene, points, pixels, table, lights, number, begin, end, reach2, g_ma
                         found.mapped[place, 0], found.mapped[place, 1], found.mapped[place, 2] = seen_red, seen_green, seen_blue
                         found.rest[place] = _0
                         found.squares[place] = _0
+                        found.open[place] = False
                         found.rays[place] = np.float32(mine)
                     total = _part_sums(importance, parts)
                     if not total > _0:
@@ -491,6 +495,7 @@ def _share(points, pixels, table, found, guide, begin, end, reach2, reach, step,
             continue
         others = same = _0
         red = green = blue = clear_red = clear_green = clear_blue = all_squares = all_rays = _0
+        closed = True
         rest = clear = squares = rays = _0
         for dv in range(-reach, reach + 1):
             v = y + dv * step
@@ -509,6 +514,7 @@ def _share(points, pixels, table, found, guide, begin, end, reach2, reach, step,
                         others += wx * wy
                         continue
                     same += wx * wy
+                    closed &= not found.open[k]
                     w = wx * wy
                     r, g, b = found.rest[k, 0], found.rest[k, 1], found.rest[k, 2]
                     cr, cg, cb = found.clear[k, 0], found.clear[k, 1], found.clear[k, 2]
@@ -540,6 +546,12 @@ def _share(points, pixels, table, found, guide, begin, end, reach2, reach, step,
             shaped[place, c] = wanted_sum * (light[c] / sum_ if sum_ > np.float32(0.01) * own_sum else own[c] / max(own_sum, _TINY))
         mean = max(clear * _THIRD, _TINY)
         shaped[place, 3] = squares / (mean * mean) + _1 / (rays * rays)
+        if closed:
+            # What maps leak does not cancel in so few draws; many rays of which none passed say more.
+            left = max(_0, _1 - all_rays * np.float32(1 / ENOUGH))
+            for c in range(3):
+                light[c] *= left
+                shaped[place, c] *= left
 
 
 @kernel
@@ -625,7 +637,9 @@ def gather(
     looking = (x % MAP_STEP == 0) & (y % MAP_STEP == 0)
     at, number = np.flatnonzero(looking), np.cumsum(looking, dtype=np.int32) - np.int32(1)
     codes = np.empty((len(at), len(lights.front)), np.uint8)
-    found = Found(*(np.empty((n, 3), np.float32) for _ in range(3)), np.zeros(n, np.float32), np.empty(n, np.float32))
+    found = Found(
+        *(np.empty((n, 3), np.float32) for _ in range(3)), np.zeros(n, np.float32), np.empty(n, np.float32), np.zeros(n, np.bool_)
+    )
     guide, even, shaped = np.empty((n, 2), np.float32), np.zeros((n, 6), np.float32), np.empty((n, 4), np.float32)
     wanted = np.zeros(n, np.uint8)
     rows = (len(pixels.first) - 2) // pixels.width + 1
