@@ -29,6 +29,7 @@ from .scene import Camera, Scene
 from .settings import RenderSettings
 from .soundness import sound
 from .stages import (
+    TURN,
     Run,
     StageProgress,
     cache_stage,
@@ -46,6 +47,7 @@ from .subpixel import PointLight
 from .threads import thread_count
 from .topology import IN_MEMORY, Topologies, Topology
 from .transport import Transport
+from .view.picked import MOST_POINTS, picked
 from .view.primary import View, view
 
 GLANCE = 64  # pixels along the longer side of a picture that tells what the whole one will show
@@ -368,41 +370,49 @@ def _pass(
     if run.topology is not None:
         tables = within_reach(run, tables, points)
     nothing = tables.emitters.no_light(len(points.pixel))
+    few = None
+    if settings.method == "importance-sampling" and settings.skipping:
+        few = picked(points, MOST_POINTS, settings.seed + TURN * run.turn)
+    lit = few.points if few else points  # whose indirect light is computed
     behind_glass = bool(points.behind_glass.any())
     wants = settings.wants
     wants_glossy = wants("Direct", "Combined", "GlossyIndirect", "Indirect")
     wants_indirect = wants("DiffuseIndirect", "Indirect", "Irradiance", "Combined") or (behind_glass and wants("GlossyIndirect"))
-    lobes = wants_glossy and has_lobes(points) and sees_alike(scene.geometry.object_visibility)
+    lobes = wants_glossy and has_lobes(lit) and sees_alike(scene.geometry.object_visibility)
 
     def cache(run: Run) -> ImportanceSampling | None:
-        return cache_stage(run, tables, points, settings, threads) if wants_glossy or wants_indirect else None
+        return cache_stage(run, tables, lit, settings, threads) if wants_glossy or wants_indirect else None
 
     def direct(run: Run, sampler: ImportanceSampling | None = None) -> DirectLight:
         if not (wants("Direct", "Combined") or behind_glass or ((wants_indirect or wants_glossy) and refractive(tables))):
             return DirectLight(nothing, nothing, nothing, nothing)
         with run.stage("direct") as tick:
-            return direct_stage(run, scene, tables, points, settings, threads, tick, sampler)
+            return direct_stage(run, scene, tables, points, settings, threads, tick, sampler, few.index if few else None)
 
     def indirect_of(run: Run, sampler: ImportanceSampling | None) -> tuple[np.ndarray, np.ndarray | None]:
         if not wants_indirect:
-            return nothing, None
-        indirect, vpls = indirect_stage(run, tables, points, seen.shape[1], settings, threads, sampler, glossy=lobes)
+            return tables.emitters.no_light(len(lit.pixel)), None
+        indirect, vpls = indirect_stage(run, tables, lit, seen.shape[1], settings, threads, sampler, glossy=lobes)
         run.vpls += len(vpls.bounce)
         foreseen = None
         if sampler and sampler.lights is not None and settings.denoise:
             with run.stage("indirect"):
-                foreseen = sampler.foreseen(points, seen.shape)
-                indirect = sampler.without_sparks(points, indirect, foreseen, seen.shape)
+                foreseen = sampler.foreseen(lit, seen.shape, points)
+                indirect = sampler.without_sparks(lit, indirect, foreseen[few.index] if few else foreseen, seen.shape)
         if settings.debug_layers and not run.debug:
-            run.debug = single_lights(tables, vpls, points, seen.shape, threads)
+            run.debug = single_lights(tables, vpls, lit, seen.shape, threads)
             if run.clusters is not None:
-                run.debug |= run.clusters.debug_layers(points, seen.shape)
+                run.debug |= run.clusters.debug_layers(lit, seen.shape)
         return indirect, foreseen
 
     def glossy(run: Run, sampler: ImportanceSampling | None) -> Reflections:
         if not wants_glossy:
             return Reflections(nothing, nothing, 0, nothing[:, :3])
-        return glossy_stage(run, tables, points, settings, threads, sampler)
+        found = glossy_stage(run, tables, lit, settings, threads, sampler)
+        if few:
+            spread = {name: few.spread(getattr(found, name), len(points.pixel)) for name in ("direct", "indirect", "albedo")}
+            found = found._replace(**spread)
+        return found
 
     if not settings.smooth:  # direct light and reflections are told what the gather rays before them have found
         sampler = cache(run)
@@ -417,6 +427,9 @@ def _pass(
         sampler, light = side_by_side(run, threads, cache, direct)
         (indirect, foreseen), mirrored = side_by_side(run, threads, lambda run: indirect_of(run, sampler), lambda run: glossy(run, sampler))
     LOADED.add(settings.method)
+    own = indirect
+    if few:
+        indirect = few.spread(few.stand_in(points, foreseen)[:, None] * indirect, len(points.pixel))
     picture = Picture.compose(
         seen, light.irradiance, indirect + light.irradiance_by_glass, light.glossy + mirrored.direct,
         light.glossy_by_glass + mirrored.indirect, mirrored.albedo, weight, run.groups, foreseen,
@@ -426,7 +439,9 @@ def _pass(
     if settings.smooth:
         smooth = splat(points, points.albedo * np.float32(1 / np.pi) * indirect * (points.behind_glass == 0)[:, None], seen.shape)
     if foreseen is not None and run.sequence is None:
-        light = PointLight.of(points, indirect + light.irradiance_by_glass, foreseen, scene.camera, weight)
-        picture = replace(picture, points=(light,))
+        by_glass = light.irradiance_by_glass
+        if few:
+            by_glass, foreseen = by_glass[few.index], foreseen[few.index]
+        picture = replace(picture, points=(PointLight.of(lit, own + by_glass, foreseen, scene.camera, weight),))
     alpha = np.float32(1) - seen.clear if settings.film.transparent else None
     return replace(picture, smooth=smooth, alpha=alpha, triangle=nearest_triangles(seen) if run.sequence else None)

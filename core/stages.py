@@ -265,14 +265,17 @@ def refractive(tables: Transport) -> bool:
 
 def direct_stage(
     run: Run, scene: Scene, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, tick,
-    sampler: ImportanceSampling | None = None,
+    sampler: ImportanceSampling | None = None, picked: np.ndarray | None = None,
 ) -> DirectLight:  # fmt: skip
     """Direct light at the points: irradiance, and what their lobes reflect of it by shadow rays.
 
     sampler: whose gather rays have gone out from these points, and count for what they have found of the world and of shining surfaces.
+    picked: (M,), which of the points these were, None for all.
     """
     samples, seed, every = settings.direct_samples, settings.seed, tables
     gathered = sampler.gathered if sampler and shadows_alike(scene.geometry, scene.materials.tables) else None
+    if gathered and picked is not None:
+        gathered = gathered.spread(picked, len(points.pixel))
 
     def by_rays(tables: Transport, lobes: bool) -> DirectLight:
         light, rays = direct_light(

@@ -75,7 +75,7 @@ class Receivers(NamedTuple):
 
     The arrays from wo to albedo are empty where no point has a lobe; spread is (N, 0, 3) where each has one place, and so are facet, varied and turned.
     triangle: -1 where rays leave from the facets themselves.
-    gathered, met, gather_key: count, met, and (seed, first) of `GatherRays`.
+    gathered, met, gather_number, gather_key: count, met, number, and (seed, first) of `GatherRays`.
     """
 
     position: np.ndarray
@@ -99,6 +99,7 @@ class Receivers(NamedTuple):
     entered: np.ndarray
     gathered: np.ndarray
     met: np.ndarray
+    gather_number: np.ndarray
     gather_key: np.ndarray
 
 
@@ -742,7 +743,7 @@ def _add_gathered(scene, points, start, size, block, g, rays, n):
         for s in range(points.gathered[i]):
             if not points.met[i, s] & (ESCAPED | VEILED):
                 continue
-            dx, dy, dz, _ = gather_ray(seed, i, first + s, points.ns[i, 0], points.ns[i, 1], points.ns[i, 2])
+            dx, dy, dz, _ = gather_ray(seed, points.gather_number[i], first + s, points.ns[i, 0], points.ns[i, 1], points.ns[i, 2])
             r, gr, b = world_radiance(emitters.world, dx, dy, dz)
             before = n
             n = _put(
@@ -821,7 +822,7 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
         for s in range(points.gathered[i]):
             if not points.met[i, s] & SHINING:
                 continue
-            dx, dy, dz, cosine = gather_ray(seed, i, first + s, sx, sy, sz)
+            dx, dy, dz, cosine = gather_ray(seed, points.gather_number[i], first + s, sx, sy, sz)
             ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, points.error[i], dx, dy, dz)
             triangle, _, _, t, r, g, b, clear, _ = nearest_surface(
                 scene,
@@ -837,7 +838,7 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
                 np.float32(np.inf),
                 DIFFUSE,
                 seed,
-                gather_path(i, first + s),
+                gather_path(points.gather_number[i], first + s),
                 VEIL,
                 OUTSIDE,
             )
@@ -1130,7 +1131,7 @@ def direct_light(
     """
     if gathered is None:
         gathered = no_gather_rays(len(points.position))
-    others = gathered.count, gathered.met, np.array([gathered.seed, gathered.first], np.int64)
+    others = gathered.count, gathered.met, gathered.number, np.array([gathered.seed, gathered.first], np.int64)
     if lobes:
         receivers = Receivers(*(getattr(points, name) for name in Receivers._fields[: -len(others)]), *others)
     else:

@@ -20,18 +20,25 @@ VEIL = 60  # dimension of the random numbers by which a ray passes what is partl
 class GatherRays(NamedTuple):
     """Cosine-distributed rays that N points have traced.
 
-    count: (N,) int32, rays of each.  met: (N, R) uint8, bits of each.  seed, first: of their random numbers (`gather_ray`).
+    count: (N,) int32, rays of each.  met: (N, R) uint8, bits of each.  number: (N,) int32, seed, first: of their random numbers (`gather_ray`).
     """
 
     count: np.ndarray
     met: np.ndarray
+    number: np.ndarray
     seed: int
     first: int
+
+    def spread(self, index: np.ndarray, n: int) -> GatherRays:
+        """Those of n points, of which the ones at `index` (N,) have traced these."""
+        count, met, number = np.zeros(n, np.int32), np.zeros((n, self.met.shape[1]), np.uint8), np.zeros(n, np.int32)
+        count[index], met[index], number[index] = self.count, self.met, self.number
+        return GatherRays(count, met, number, self.seed, self.first)
 
 
 def no_gather_rays(n: int) -> GatherRays:
     """Of n points that have traced none."""
-    return GatherRays(np.zeros(n, np.int32), np.zeros((n, 0), np.uint8), 0, 0)
+    return GatherRays(np.zeros(n, np.int32), np.zeros((n, 0), np.uint8), np.zeros(n, np.int32), 0, 0)
 
 
 def shadows_alike(geometry: Geometry, materials: MaterialTables) -> bool:

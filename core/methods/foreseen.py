@@ -76,15 +76,16 @@ def _expected(points, lights, visible, ambient, width, begin, end, g_max, out):
 
 def foreseen(
     points: ShadingPoints, shape: tuple[int, int], lights: np.ndarray, g_max: np.float32, sights: np.ndarray, blocks: np.ndarray,
-    gathered: np.ndarray, threads: int = 0,
+    gathered: np.ndarray, threads: int = 0, *, wanted: ShadingPoints | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Irradiance (N,) float32, W/m^2, grey, of points of a picture of `shape` (height, width), without noise to speak of.
+    """Irradiance (W,) float32, W/m^2, grey, of W points of a picture of `shape` (height, width), without noise to speak of.
 
-    lights: (S, 10, K), of which the first subset is summed.  sights: (N, R) uint8, what each point's shadow rays found; blocks: (N, R) uint8,
-    the lights' blocks.  gathered: (N,), what the gather rays found.
+    points: N, whose rays tell it.  lights: (S, 10, K), of which the first subset is summed.  sights: (N, R) uint8, what each point's shadow rays
+    found; blocks: (N, R) uint8, the lights' blocks.  gathered: (N,), what the gather rays found.  wanted: the W points, None for the same.
     """
+    wanted = points if wanted is None else wanted
     if not len(points.pixel):
-        return np.zeros(0, np.float32)
+        return np.zeros(len(wanted.pixel), np.float32)
     height, width = shape
     rows, columns = -(-height // TILE), -(-width // TILE)
     tile = points.pixel // width // TILE * columns + points.pixel % width // TILE
@@ -101,9 +102,9 @@ def foreseen(
         whole = found.sum() / max(rays.sum(), 1)
         tiles = (found.sum(axis=1) + PRIOR * whole) / (rays.sum(axis=1) + PRIOR)
         visible = (found + PRIOR * tiles[:, None]) / (rays + PRIOR) * len(lights)
-    out = np.empty(len(points.pixel), np.float32)
+    out = np.empty(len(wanted.pixel), np.float32)
     ambient, visible = ambient.astype(np.float32).reshape(rows, columns), visible.astype(np.float32).reshape(rows, columns, parts)
     lights = lights if parts else np.zeros((1, 10, 0), np.float32)
     near = np.float32(g_max / len(lights))  # a light stands for many: where it is close it must not give as much as all of them
-    run_chunks(lambda begin, end: _expected(points, lights, visible, ambient, width, begin, end, near, out), len(out), CHUNK, threads)
+    run_chunks(lambda begin, end: _expected(wanted, lights, visible, ambient, width, begin, end, near, out), len(out), CHUNK, threads)
     return out + np.float32(EVEN * out.mean())

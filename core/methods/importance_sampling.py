@@ -822,15 +822,19 @@ class ImportanceSampling:
             out += self.thrown[0]
             shown += self.thrown[1]
         self.found = sights, parts, gathered
-        self.gathered = GatherRays(gather, met, self.seed + 3, first)
+        self.gathered = GatherRays(gather, met, np.arange(n, dtype=np.int32), self.seed + 3, first)
         looks = np.minimum(np.maximum(1, samples // PICKS), len(self.lights))
         self.pairs += int(looks.sum()) * self.lights.shape[2]
         return out
 
-    def foreseen(self, points: ShadingPoints, shape: tuple[int, int]) -> np.ndarray:
-        """About what `irradiance` has just found of the points of a picture of `shape`, (N,) without noise: see the module `foreseen`."""
-        self.pairs += len(points.pixel) * self.lights.shape[2]
-        return foreseen(points, shape, self.lights, self.g_max, *self.found, self.threads)
+    def foreseen(self, points: ShadingPoints, shape: tuple[int, int], wanted: ShadingPoints | None = None) -> np.ndarray:
+        """About what `irradiance` has just found of the points of a picture of `shape`, (N,) without noise: see the module `foreseen`.
+
+        wanted: N other points of the picture, of which it is foreseen then.
+        """
+        wanted = points if wanted is None else wanted
+        self.pairs += len(wanted.pixel) * self.lights.shape[2]
+        return foreseen(points, shape, self.lights, self.g_max, *self.found, self.threads, wanted=wanted)
 
     def without_sparks(self, points: ShadingPoints, irradiance: np.ndarray, foreseen: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
         """The irradiance (N, 3 G) that was found last without sparks, as what is `foreseen` (N,) of it tells; `reflected` is without those by photons."""

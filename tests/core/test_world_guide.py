@@ -117,7 +117,7 @@ def through_window(points, rays, seed, x=0.6, veiled=False, half=HALF, wide=40.0
     at = points.position[:, None, :2] + d[..., :2] * (HEIGHT / d[..., 2:])
     open_ = (np.abs(at - (x, 0)) < half).all(axis=2) | (np.abs(at) > wide).any(axis=2)
     met = np.where(veiled, VEILED, np.where(open_, ESCAPED, 0)).astype(np.uint8) * np.ones((n, rays), np.uint8)
-    return GatherRays(np.full(n, rays, np.int32), met, seed, 7)
+    return GatherRays(np.full(n, rays, np.int32), met, np.arange(n, dtype=np.int32), seed, 7)
 
 
 def with_gathered(light, points, samples, seed, gathered):
@@ -153,14 +153,14 @@ def test_gather_rays_beside_samples_by_chance():
     light = lit(lamp(sc.SUN, 1.0, towards=(0, 0, -1), angle=0.0), world=1.0)
     points = points_around(4096)
     n = len(points.position)
-    gathered = GatherRays(np.full(n, 2, np.int32), np.full((n, 2), ESCAPED, np.uint8), 3, 0)
+    gathered = GatherRays(np.full(n, 2, np.int32), np.full((n, 2), ESCAPED, np.uint8), np.arange(n, dtype=np.int32), 3, 0)
     found = with_gathered(light, points, 1, 1, gathered)[:, 0].astype(float)
     assert abs(found.mean() - (1 + math.pi)) < 4 * found.std() / math.sqrt(n)
 
 
 def test_an_open_world_has_no_noise_with_gather_rays():
     light, points = lit(world=0.7), points_around(500)
-    gathered = GatherRays(np.full(500, 5, np.int32), np.full((500, 5), ESCAPED, np.uint8), 3, 0)
+    gathered = GatherRays(np.full(500, 5, np.int32), np.full((500, 5), ESCAPED, np.uint8), np.arange(500, dtype=np.int32), 3, 0)
     assert np.allclose(with_gathered(light, points, 8, 1, gathered), 0.7 * math.pi, rtol=1e-3)
 
 

@@ -1,0 +1,110 @@
+"""Points of crowded pixels that stand for the others: in foliage and far detail a pixel shows a dozen surfaces, and each costs as much light as one that fills it.
+
+Of the points of such a pixel a few are drawn in proportion to what the pixel shows of them (systematic resampling; those that are certain to be drawn are
+taken first), with exact weights: the expected light is unchanged.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..jit import kernel
+from ..sampling.hashing import uniform
+from .points import ShadingPoints, glossy_albedos
+
+# That light a pixel: park of 14 points a pixel, 320x180: relMSE of `Indirect` .0180 in 51 s of CPU time with all, .0207 in 24 with 4, .0241 in 19 with 2.
+MOST_POINTS = 3
+MOST_SCALED = 2.0  # by what is foreseen, at most
+LEAST = 1e-4  # of the mean: weight of points that seem to show nothing
+_0 = np.float32(0.0)
+_1 = np.float32(1.0)
+
+
+class Picked(NamedTuple):
+    """M of N points.
+
+    index: (M,) int64, ascending.  factor: (M,) float32, one over the chance of each.  points: these, whose albedos are `factor` times their own.
+    """
+
+    index: np.ndarray
+    factor: np.ndarray
+    points: ShadingPoints
+
+    def stand_in(self, points: ShadingPoints, foreseen: np.ndarray | None) -> np.ndarray:
+        """What the light of each of the M points is multiplied by to stand for that of its pixel's N `points`, (M,) float32.
+
+        foreseen: (N,), what their light is about in proportion to: a pixel's is scaled by what that is of all its points, beside what it seems to be
+        by those that were drawn (a ratio estimator: less noise, and next to no bias).  None for the same everywhere.
+        """
+        if foreseen is None:
+            return self.factor
+        albedo = np.einsum("nc->n", points.albedo)
+        whole = np.bincount(points.pixel, albedo * foreseen)
+        drawn = np.bincount(self.points.pixel, self.factor * (albedo * foreseen)[self.index], len(whole))
+        ratio = np.divide(whole, drawn, out=np.ones_like(whole), where=drawn > 0)
+        return self.factor * np.clip(ratio, 1 / MOST_SCALED, MOST_SCALED).astype(np.float32)[self.points.pixel]
+
+    def spread(self, values: np.ndarray, n: int) -> np.ndarray:
+        """Rows (M, C) at their places among those of all n points, else 0."""
+        out = np.zeros((n, *values.shape[1:]), values.dtype)
+        out[self.index] = values
+        return out
+
+
+@kernel
+def _pick(order, pixel, weight, most, seed, factor):
+    """One over its chance for each point that is drawn of its pixel, 0 for the others, into factor (N,); order: (N,) int64, pixel by pixel."""
+    n = len(order)
+    begin = 0
+    while begin < n:
+        end = begin + 1
+        while end < n and pixel[order[end]] == pixel[order[begin]]:
+            end += 1
+        if end - begin <= most:
+            for k in range(begin, end):
+                factor[order[k]] = _1
+            begin = end
+            continue
+        left, total = most, 0.0
+        for k in range(begin, end):
+            factor[order[k]] = _0
+            total += weight[order[k]]
+        found = True
+        while found and left > 0:
+            found = False
+            for k in range(begin, end):
+                i = order[k]
+                if factor[i] == _0 and weight[i] * left >= total:
+                    factor[i] = _1
+                    left, total, found = left - 1, total - weight[i], True
+                    if left == 0:
+                        break
+        if left > 0:
+            step = total / left
+            upto, wanted = 0.0, uniform(seed, pixel[order[begin]], 0, 0) * step
+            for k in range(begin, end):
+                i = order[k]
+                if factor[i] == _1:
+                    continue
+                upto += weight[i]
+                if upto > wanted:
+                    factor[i] = np.float32(step / weight[i])
+                    wanted += step
+        begin = end
+
+
+def picked(points: ShadingPoints, most: int, seed: int) -> Picked | None:
+    """At most `most` points of each pixel, None where no pixel has more."""
+    if not len(points.pixel) or np.bincount(points.pixel).max() <= most:
+        return None
+    weight = np.einsum("nc->n", points.albedo + glossy_albedos(points)).astype(np.float64)
+    weight += LEAST * weight.mean() + 1e-30
+    factor = np.empty(len(weight), np.float32)
+    _pick(np.argsort(points.pixel, kind="stable"), points.pixel, weight, most, np.uint32(seed), factor)
+    index = np.flatnonzero(factor)
+    chosen, factor = points.take(index), factor[index]
+    for albedo in (chosen.albedo, chosen.f0, chosen.f90):
+        albedo *= factor[:, None]
+    return Picked(index, factor, chosen)
