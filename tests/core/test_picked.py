@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from lumigate.core import pipeline
 from lumigate.core.pipeline import render
-from lumigate.core.view.picked import MOST_SCALED, picked
+from lumigate.core.view.picked import MOST_SCALED, most_each, picked
 from lumigate.core.view.points import ShadingPoints, glossy_albedos
 from lumigate.headless.stress import rooms
 
@@ -31,18 +31,29 @@ def shown(points):
     return (points.albedo + glossy_albedos(points)).sum(axis=1)
 
 
-def test_nothing_is_picked_where_no_pixel_is_crowded():
-    assert picked(crowd([1, 3, 0, 2]), 3, 0) is None
+def test_nothing_is_picked_where_pixels_are_not_crowded():
+    assert picked(crowd([1, 5, 0, 2]), 3, 0) is None
     assert picked(ShadingPoints.allocate(0), 3, 0) is None
 
 
+@given(st.lists(st.integers(0, 20), max_size=30), st.floats(1, 20))
+def test_pixels_have_so_many_in_the_mean(counts, mean):
+    pixel = np.repeat(np.arange(len(counts)), counts)
+    most, lit = most_each(pixel, mean), np.count_nonzero(counts)
+    if most is None:
+        assert sum(counts) <= mean * lit
+        return
+    kept = [np.minimum(counts, k).sum() for k in (most, most + 1)]
+    assert kept[0] <= mean * lit < kept[1]
+
+
 @settings(max_examples=30, deadline=None)
-@given(st.lists(st.integers(0, 20), min_size=1, max_size=30), st.integers(1, 5), st.integers(0, 2**31))
-def test_as_many_as_there_may_be_show_as_much_as_all(counts, most, seed):
+@given(st.lists(st.integers(0, 20), min_size=1, max_size=30), st.floats(1, 5), st.integers(0, 2**31))
+def test_as_many_as_there_may_be_show_as_much_as_all(counts, mean, seed):
     points = crowd(counts, seed)
-    few = picked(points, most, seed)
+    few, most = picked(points, mean, seed), most_each(points.pixel, mean)
+    assert (few is None) == (most is None)
     if few is None:
-        assert max(counts) <= most
         return
     assert (np.diff(few.index) > 0).all()
     np.testing.assert_array_equal(np.bincount(few.points.pixel, minlength=len(counts)), np.minimum(counts, most))
@@ -103,8 +114,8 @@ def test_crowded_pixels_keep_their_light(monkeypatch):
     asked = replace(rooms.SETTINGS, method="importance-sampling", pixel_samples=16, vpls=512)
     numbers = []
 
-    def counted(points, most, seed):
-        few = picked(points, most, seed)
+    def counted(points, mean, seed):
+        few = picked(points, mean, seed)
         numbers.append((len(points.pixel), len(few.index)))
         return few
 
@@ -114,6 +125,6 @@ def test_crowded_pixels_keep_their_light(monkeypatch):
     for name in ("DiffuseIndirect", "Direct"):
         monkeypatch.setattr(pipeline, "picked", counted)
         few = mean(name)
-        monkeypatch.setattr(pipeline, "picked", lambda points, most, seed: None)
+        monkeypatch.setattr(pipeline, "picked", lambda points, mean, seed: None)
         assert few == pytest.approx(mean(name), rel=0.03)
     assert all(some < 0.7 * whole for whole, some in numbers)
