@@ -6,9 +6,9 @@ Two steps, because materials are compiled between them and must be outside of Bl
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import bpy
 import numpy as np
@@ -20,6 +20,7 @@ from .attributes import NOT_INSTANCED, Batch, Instancing, Part, fill, lightmap_u
 from .instances import InstanceAttributes, asked_of_instancers
 from .links import BLOCKERS, RECEIVERS, Links, blocker_bits
 from .meshes import MeshCopy, copy_mesh, face_normals, layer_names
+from .strands import copy_curves, copy_hair, copy_points, hashed
 
 # Coordinates beyond this are taken for invalid: their squares overflow float32.
 _LIMIT = 1e18
@@ -30,8 +31,6 @@ _MAX_TRIANGLES = 50_000_000
 # What Cycles renders and triangles cannot hold.
 _NOT_TRIANGLES = {
     "VOLUME": "volume",
-    "CURVES": "hair curves",
-    "POINTCLOUD": "point cloud",
     "GREASEPENCIL": "grease pencil",
     "GPENCIL": "grease pencil",
 }
@@ -121,7 +120,7 @@ def collect(
     found = Collected(links=links)
     notes: dict[str, None] = {}  # an ordered set: one line for a thing, however often it is instanced
     hidden: dict[str, None] = {}
-    meshes: dict[int, MeshCopy | None] = {}
+    meshes: dict[tuple, MeshCopy | None] = {}
     wanted = layer_names() | set(lightmaps.values())
     names, is_asked = asked_of_instancers()
     attributes = InstanceAttributes(names)
@@ -132,41 +131,62 @@ def collect(
         if not is_shown(ob, depsgraph, space):
             continue
         notes.update(dict.fromkeys(_notes(instance, view_layer)))
-        if ob.type != "MESH" or not instance.show_self:
-            continue
         visibility = instance_visibility(instance, view_layer)
-        key = ob.data.as_pointer()
-        if visibility and key not in meshes:
-            meshes[key] = copy_mesh(ob, wanted)
-        if not visibility:
-            hidden[ob.name] = None
-            continue
-        if meshes[key] is None:
-            continue
-        slots = [slot.material for slot in ob.material_slots] if override is None else [override]
-        found.parts.append(
-            Part(
-                mesh=meshes[key],
-                matrix=np.array(instance.matrix_world, np.float64),
-                name=ob.name,
-                original=ob.original,
-                materials=tuple(m and m.original for m in slots) or (None,),
-                visibility=visibility,
-                random_id=instance.random_id & 0xFFFFFFFF if instance.is_instance else _hash(ob.name),
-                color=tuple(ob.color),
-                pass_index=ob.pass_index,
-                lightmap="" if instance.is_instance else lightmaps.get(ob.name, ""),
-                light_group=light_group(instance),
-                instancing=_instancing(instance, attributes) if is_asked and instance.is_instance else NOT_INSTANCED,
-                **(_linked(instance, links) if links else {}),
+        for key, copied, slot in _shapes(instance, wanted, depsgraph.mode == "RENDER"):
+            if not visibility:
+                hidden[ob.name] = None
+                continue
+            if key not in meshes:
+                meshes[key] = copied()
+            if meshes[key] is None:
+                continue
+            slots = [s.material for s in ob.material_slots] if override is None else [override]
+            if slot is not None:
+                slots = slots[min(slot, len(slots) - 1) :][:1]
+            found.parts.append(
+                Part(
+                    mesh=meshes[key],
+                    matrix=np.array(instance.matrix_world, np.float64),
+                    name=ob.name,
+                    original=ob.original,
+                    materials=tuple(m and m.original for m in slots) or (None,),
+                    visibility=visibility,
+                    random_id=instance.random_id & 0xFFFFFFFF if instance.is_instance else _hash(ob.name),
+                    color=tuple(ob.color),
+                    pass_index=ob.pass_index,
+                    lightmap="" if instance.is_instance or slot is not None else lightmaps.get(ob.name, ""),
+                    light_group=light_group(instance),
+                    instancing=_instancing(instance, attributes) if is_asked and instance.is_instance else NOT_INSTANCED,
+                    **(_linked(instance, links) if links else {}),
+                )
             )
-        )
     found.warnings.extend(notes)
     shown = {part.name for part in found.parts}
     found.hidden.extend(name for name in hidden if name not in shown)
     if not found.parts:
         found.warnings.append("the scene has no meshes that a render shows")
     return found
+
+
+def _shapes(
+    instance: bpy.types.DepsgraphObjectInstance, wanted: Collection[str], is_render: bool
+) -> Iterator[tuple[tuple, Callable[[], MeshCopy | None], int | None]]:
+    """What an instance shows: what tells its shape from others, what copies it, and the slot of its material (None: by face)."""
+    ob = instance.object
+    copies = {
+        "MESH": lambda: copy_mesh(ob, wanted),
+        "CURVES": lambda: copy_curves(ob.data, wanted),
+        "POINTCLOUD": lambda: copy_points(ob.data, wanted),
+    }
+    if instance.show_self and ob.type in copies:
+        yield (ob.data.as_pointer(),), copies[ob.type], None
+    if instance.show_particles and ob.type == "MESH":
+        for modifier in ob.modifiers:
+            if modifier.type == "PARTICLE_SYSTEM" and (modifier.show_render if is_render else modifier.show_viewport):
+                system = modifier.particle_system
+                if system.settings.type == "HAIR" and system.settings.render_type == "PATH":
+                    key = ob.original.as_pointer(), system.name
+                    yield key, partial(copy_hair, ob, system, modifier, is_render), system.settings.material - 1
 
 
 def _instancing(instance: bpy.types.DepsgraphObjectInstance, attributes: InstanceAttributes) -> Instancing:
@@ -195,26 +215,16 @@ def _notes(instance: bpy.types.DepsgraphObjectInstance, view_layer: bpy.types.Vi
     ob = instance.object
     if ob.type in _NOT_TRIANGLES and instance.show_self:
         yield f"{_NOT_TRIANGLES[ob.type]} '{ob.name}' is left out: convert it to a mesh to see it"
-    if instance.show_particles:
-        for system in ob.particle_systems:
-            if system.settings.type == "HAIR" and system.settings.render_type == "PATH":
-                yield f"hair particles '{system.name}' of '{ob.name}' are left out: convert them to a mesh to see them"
     if ob.type == "MESH" and ob.is_shadow_catcher:  # lamps are by default
         yield f"'{ob.name}' is a shadow catcher: it is rendered as an ordinary object"
 
 
 def _hash(name: str) -> int:
-    """`random_id` of an object that is no instance: hash_uint2(hash_string(name), 0) of Cycles' util/hash.h (Jenkins' lookup3)."""
-    mask = 0xFFFFFFFF
+    """`random_id` of an object that is no instance: hash_uint2(hash_string(name), 0) of Cycles."""
     value = 0
     for byte in name.encode():
-        value = (value * 37 + byte) & mask
-    state = [(0xDEADBEEF + (2 << 2) + 13) & mask] * 3
-    state[0] = (state[0] + value) & mask
-    for i, j, k in ((2, 1, 14), (0, 2, 11), (1, 0, 25), (2, 1, 16), (0, 2, 4), (1, 0, 14), (2, 1, 24)):
-        rotated = (state[j] << k) | (state[j] >> (32 - k))
-        state[i] = ((state[i] ^ state[j]) - rotated) & mask
-    return state[2]
+        value = (value * 37 + byte) & 0xFFFFFFFF
+    return int(hashed(np.array([value]))[0])
 
 
 def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, np.ndarray, list[str]]:

@@ -43,6 +43,13 @@ LOCAL_INCOMING = "local_incoming"  # the same in the lamp's own space
 PARAMETRIC = "parametric"  # Geometry's output of that name
 BAKED = "baked"  # UV of the bake `name`: CompiledMaterials.baked_uvs[name][object name], (triangles of the mesh, 3, 2)
 
+# Attributes that hair and points have besides Blender's, whose names no user gives: what Hair Info and Point Info read.
+IS_STRAND = ".lumigate is strand"
+INTERCEPT = ".lumigate intercept"
+LENGTH = ".lumigate length"
+THICKNESS = ".lumigate thickness"
+RANDOM = ".lumigate random"
+
 # What differs at the points that a bump's height is read at: as in Cycles all but normals, tangents and what objects have.
 DISPLACED = frozenset({UV, COLOR, ATTRIBUTE, GENERATED, OBJECT, WORLD_POSITION, BAKED})
 

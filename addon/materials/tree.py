@@ -22,7 +22,6 @@ _BLIND = {
     ("ShaderNodeNewGeometry", "Incoming"): "as seen from right above the surface",
     ("ShaderNodeAmbientOcclusion", ""): "without the objects of other materials around",
     ("ShaderNodeParticleInfo", ""): "without particles, all of which look alike",
-    ("ShaderNodePointInfo", ""): "without points, all of which look alike",
 }
 # Blender 5 hands Cycles trees without groups, reroutes and muted nodes: these convert nothing, and what a group's socket says is a number for all.
 _INLINED = bpy.app.version >= (5, 0)

@@ -16,6 +16,9 @@ from ..requests import (
     INSTANCER_ATTRIBUTE,
     INSTANCER_GENERATED,
     INSTANCER_UV,
+    INTERCEPT,
+    IS_STRAND,
+    LENGTH,
     NORMAL,
     OBJECT,
     OBJECT_ATTRIBUTE,
@@ -24,11 +27,15 @@ from ..requests import (
     OBJECT_LOCATION,
     OBJECT_RANDOM,
     PARAMETRIC,
+    RANDOM,
+    THICKNESS,
     UV,
     WORLD_NORMAL,
     WORLD_POSITION,
 )
 from ..tree import NodeInput
+
+_OF_HAIR = {"Is Strand": IS_STRAND, "Intercept": INTERCEPT, "Length": LENGTH, "Thickness": THICKNESS, "Random": RANDOM}
 
 
 @value("ShaderNodeValue")
@@ -131,6 +138,23 @@ def object_info(node: NodeInput, output: str) -> Value:
     if output == "Random":
         return node.program.attribute(OBJECT_RANDOM)
     return scalar(node.context.material.pass_index)
+
+
+@value("ShaderNodeHairInfo")
+def hair_info(node: NodeInput, output: str) -> Value:
+    """Hair Info; all is 0 on what is no hair, as in Cycles."""
+    if output not in _OF_HAIR:
+        raise Unsupported(f"node '{node.node.name}' reads the output '{output}' of Hair Info")
+    return node.program.attribute(ATTRIBUTE, _OF_HAIR[output])
+
+
+@value("ShaderNodePointInfo")
+def point_info(node: NodeInput, output: str) -> Value:
+    """Point Info; all is 0 on what is no point, as in Cycles."""
+    if output == "Position":  # of the ball's surface, not its centre
+        return node.program.attribute(WORLD_POSITION)
+    read = node.program.attribute(ATTRIBUTE, THICKNESS if output == "Radius" else RANDOM)
+    return node.multiply(read, scalar(0.5)) if output == "Radius" else read
 
 
 @value("ShaderNodeNewGeometry")
