@@ -47,7 +47,11 @@ from .tables import (
 from .textured import direction_density, draw_direction, draw_place, place_density, shown
 from .world import emit_world
 
-OUTLIERS = 0.02, 0.1  # shares of the places beyond either end of a focus along each axis
+OUTLIERS = 0.02, 0.1, 0.0  # shares of the places beyond either end of a focus along each axis
+GROWTH, MOST_WIDER = (
+    4.0,
+    4,
+)  # in size, from one focus around all places to a wider one, as many as fit into the whole: what just misses one weighs the square of it more
 MARGIN = 0.05  # of a focus's size, on all sides
 FAR = 0.05  # of its flux, at least, counts what an emitter sends elsewhere
 WORTHWHILE = 0.5  # of the whole box's surface: larger focuses gain nothing
@@ -432,8 +436,13 @@ def focused(emitters: Emitters, places: np.ndarray) -> Emitters:
     boxes = []
     for part in OUTLIERS:
         box = np.quantile(places, (part, 1 - part), axis=0)
-        margin = np.maximum(MARGIN * (box[1] - box[0]).max(), 1e-6 * extent)
-        boxes.append(np.clip(box + margin * np.array([[-1.0], [1.0]]), emitters.box[0], emitters.box[1]))
+        boxes.append(_widened(box, np.maximum(MARGIN * (box[1] - box[0]).max(), 1e-6 * extent)))
+    # In a wide land what comes from just beside the known places would else be told by a few particles of thousands of times the light.
+    wider = math.sqrt(_surface(emitters.box) / max(_surface(boxes[-1]), 1e-30))
+    count = min(int(math.log(max(wider, 1)) / math.log(GROWTH)), MOST_WIDER)
+    for _ in range(count):
+        boxes.append(_widened(boxes[-1], 0.5 * (wider ** (1 / (count + 1)) - 1) * (boxes[-1][1] - boxes[-1][0]).max()))
+    boxes = [np.clip(box, *emitters.box) for box in boxes]
     kept = [box for box in boxes if _surface(box) < WORTHWHILE * _surface(emitters.box)]
     centre, radius = boxes[0].mean(axis=0), 0.5 * float(np.linalg.norm(boxes[0][1] - boxes[0][0]))
     seen = _seen_cones(emitters, centre, radius)
@@ -478,6 +487,11 @@ def focus_share(emitters: Emitters) -> float:
     if len(emitters.focus) == 0 or not emitters.flux[np.isin(emitters.kind, (SUN, WORLD))].any():
         return 1.0
     return _surface(emitters.focus[0]) / _surface(emitters.box)
+
+
+def _widened(box: np.ndarray, margin: float) -> np.ndarray:
+    """A box (2, 3) with a margin on all sides."""
+    return box + margin * np.array([[-1.0], [1.0]])
 
 
 def _surface(box: np.ndarray) -> float:

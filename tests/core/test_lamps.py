@@ -697,7 +697,7 @@ def test_particles_drawn_to_a_place_carry_the_same_light(name):
     light = lit(*rows, **{**options, "quad": (RECEIVER, land), "material": [0, 0]})
     places = np.random.default_rng(3).uniform((-1, -1, 0), (1, 1, 1.5), (500, 3))
     near = focused(light.emitters, places)
-    assert len(near.focus) == 2
+    assert len(near.focus) == 5
     expected = cell_irradiance(light)
     found, power, _ = emitted(near, 2**20)
     assert np.allclose(power, light.emitters.flux.sum(0), rtol=0.02)
@@ -756,7 +756,19 @@ def test_no_place_to_draw_particles_to():
     everywhere = np.random.default_rng(3).uniform(*light.emitters.box, (500, 3))
     for places in (np.zeros((0, 3)), everywhere):
         assert len(focused(light.emitters, places).focus) == 0
-    assert len(focused(light.emitters, np.zeros((5, 3))).focus) == 2  # a single place has a box about it, too
+    assert len(focused(light.emitters, np.zeros((5, 3))).focus) == 7  # a single place has boxes about it, too
+
+
+@pytest.mark.parametrize("size", [60.0, 1e4])
+def test_particles_that_just_miss_the_known_places_are_no_sparks(size):
+    """However wide the land: they were told by one in thousands, with so much more light."""
+    land = [(-size, -size, -0.5), (size, -size, -0.5), (size, size, -0.5), (-size, size, -0.5)]
+    light = lit(lamp(sc.SUN, 1), quad=(RECEIVER, land), material=[0, 0])
+    near = focused(light.emitters, np.random.default_rng(3).uniform((-1, -1, 0), (1, 1, 1), (500, 3)))
+    for seed in range(6):
+        found = emitted(near, 2**12, half=4.0, seed=seed)[0][..., 0]
+        beside = found.sum() - found[1:3, 1:3].sum()  # the places are within the cells in the middle
+        assert beside / 12 == pytest.approx(1, rel=0.4)
 
 
 def test_total_flux():
