@@ -1,7 +1,7 @@
 """Lightmaps beside Cycles' bake with denoising, and a scene that is exported with its light baked in and rendered again.
 
 The same objects, UV map and image for both; contestants take turns, seconds are medians.  Errors are relMSE of the irradiance on the
-texels that show a surface, as all their neighbours do, against two independent halves of a bake by Cycles, net of their noise.  Cycles' images are denoised as they
+texels that show a surface, as all their neighbours do of the same chart, against two independent halves of a bake by Cycles, net of their noise.  Cycles' images are denoised as they
 are, and as ours are (charts mirrored about their edges, with normals); the better of both is the peer.
 """
 
@@ -16,7 +16,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import binary_erosion
+from scipy import sparse
+from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 
 from ..addon.files import open_scene
 from ..addon.lightmap_export import export_gltf
@@ -26,8 +27,9 @@ from ..core.denoise import Denoiser
 from ..core.lightmaps.filling import denoised, surroundings
 from ..core.lightmaps.seams import Seams, find_seams, seam_error
 from ..core.pipeline import render
+from ..core.scene import Geometry
 from ..core.settings import BakeSettings, RenderSettings
-from ..core.view.texels import LIT, Charts
+from ..core.view.texels import LIT, Charts, cover
 from .console import quiet
 from .cycles_bake import bake_by_cycles
 from .sources import extract, find_scene, open_source
@@ -42,6 +44,7 @@ SIZE = 256
 SAMPLES, REFERENCE_SAMPLES = 64, 4096
 REPEATS = 3
 BLACK = 0.01  # of the mean
+SHOWN = 4  # samples that tell which chart a texel shows
 VIEW = (320, 180)  # pixels of the picture of the exported scene
 _BACKGROUND = 1e9  # m: what lies farther away is none of the surfaces
 DENSITY = 16.0  # texels a metre of its lightmaps
@@ -122,12 +125,32 @@ def _scene_rows(
     return _rows(name, prepared, lightmap.state, ours, peers, halves, samples)
 
 
-def comparable(state: np.ndarray) -> np.ndarray:
-    """Texels (H, W) bool that hold the same by both: those whose neighbours all show a surface, too.
+def comparable(state: np.ndarray, chart: np.ndarray) -> np.ndarray:
+    """Texels (H, W) bool that hold the same by both: those whose neighbours all show a surface, too, of the same chart.
 
-    At the edge of a chart, or of what hides it, ours hold the light of what can be seen in them, Cycles' that of a whole square.
+    At the edge of a chart, or of what hides it, ours hold the light of what can be seen in them.  Cycles' hold that of a whole square, or, where Blender
+    leaves a texel between two charts to its margins, the mean of both charts: half of a sunlit wall's and half of a dark room's.
+
+    chart: (H, W) int, as `chart_image` has it.
     """
-    return binary_erosion(state == LIT, np.ones((3, 3)))
+    alike = maximum_filter(chart, 3) == minimum_filter(chart, 3)
+    return binary_erosion(state == LIT, np.ones((3, 3))) & alike
+
+
+def chart_image(geometry: Geometry, charts: Charts, size: tuple[int, int]) -> np.ndarray:
+    """Which chart each texel of an image of `size` (width, height) shows, (H, W) int, -1 for none: triangles that share corners in space and in the map are one."""
+    width, height = size
+    corners = np.concatenate([geometry.triangles[charts.triangle][..., None], np.rint(1024 * charts.uv).astype(np.int64)], axis=2)
+    key = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1)
+    triangles = np.repeat(np.arange(len(charts.triangle)), 3)
+    held = sparse.csr_matrix((np.ones(len(key)), (triangles, key)), shape=(len(charts.triangle), key.max() + 1))
+    label = sparse.csgraph.connected_components(held @ held.T, directed=False)[1]
+    found = np.empty((width * height, SHOWN), np.int32)
+    cover(
+        charts.uv, 0, height, width, SHOWN, np.uint32(0), found, np.empty((*found.shape, 2), np.float32), np.empty(len(found), np.float32)
+    )
+    triangle = found.max(axis=1)
+    return np.where(triangle >= 0, label[triangle], -1).reshape(height, width)
 
 
 def _denoised(raw: np.ndarray, state: np.ndarray, denoiser: Denoiser, *, mirrored: bool) -> tuple[np.ndarray, float]:
@@ -145,9 +168,10 @@ def _rows(
     name: str, prepared: Prepared, state: np.ndarray, ours: Contest, peers: dict[str, Contest], halves: list[np.ndarray], samples: int
 ) -> list[dict]:
     """Time, error, seams and black texels of one scene."""
-    lit, shown = comparable(state), state == LIT
-    target = prepared.targets[0]
-    seams = find_seams(prepared.arrays.geometry, Charts.of(target.triangles, target.uv, target.size))
+    target, geometry = prepared.targets[0], prepared.arrays.geometry
+    charts = Charts.of(target.triangles, target.uv, target.size)
+    lit, shown = comparable(state, chart_image(geometry, charts, target.size)), state == LIT
+    seams = find_seams(geometry, charts)
     mean = (halves[0] + halves[1]) / 2
 
     def error(image: np.ndarray) -> float:

@@ -1,8 +1,9 @@
 """From the texels of a lightmap to shading points: what the camera is to pixels, a UV map is to texels.
 
-A texel's value is the mean over its square, as a pixel's is: stratified samples in UV space, and a shading point for each distinct surface
-among them, at one drawn at random, as next to walls light varies steeply within a texel.  Samples that nobody can see are left out, so that no dark creeps out from under a wall:
-those inside closed or touching geometry, and those that a wall parts from the middle of their texel.
+A texel's value is the mean over the middle of its square, as of Blender's bake: stratified samples in UV space, and a shading point for each distinct surface
+among them, at one drawn at random, as next to walls light varies steeply within a texel.  A texel whose middle shows nothing has samples in all of its square.
+Samples that nobody can see are left out, so that no dark creeps out from under a wall: those inside closed or touching geometry, and those that a wall parts
+from the middle of their texel.
 
 A translucent surface is lit from both sides: its texels hold the irradiance that, times its whole colour, gives the light that it sends,
 which is the mean of both sides by their shares of the colour.  (So does Cycles' bake of Diffuse without Color.)
@@ -15,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import kernel, leaf
+from ..jit import inlined, kernel, leaf
 from ..lamps.departures import FACES, TURNS
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import WIDTH, disable_ray, hit_t, hit_triangle, is_occluded, new_packet, set_ray
@@ -36,6 +37,9 @@ from .tile import SAME_NORMAL, SAME_REACH
 
 ROWS = 16  # of texels a chunk
 MOST_SAMPLES = WIDTH  # a texel: they are traced as one packet
+# The part of a texel's side that its samples fill: Blender's (`A = 0.5f / A` of `bake_differentials` in its bake.cc).  Renderers interpolate between
+# texels, which blurs more than a square's mean does; and a step of light lies where it lies in Cycles' bake.
+EXTENT = np.float32(0.5)
 # A sample is hidden where this many rays all meet a back face, or anything nearer than this part of a texel; a texel where this
 # share of its samples is.
 PROBES = 4
@@ -88,14 +92,40 @@ class Texels:
     rays: int
 
 
+@inlined
+def texel_sample(sample, seed, texel, extent):
+    """Position of a sample in the texel's square: in the middle of it, `extent` of its side wide."""
+    x, y = pixel_sample(sample, seed, texel)
+    half = np.float32(0.5)
+    return half + extent * (x - half), half + extent * (y - half)
+
+
 @kernel
-def cover(uv, y0, y1, width, samples, seed, found, weights):
+def cover(uv, y0, y1, width, samples, seed, found, weights, extent):
     """Which triangle of `uv` (T, 3, 2) holds each sample of the texels in the rows y0..y1-1.
 
-    found: ((y1 - y0) * width, S) int32, -1 for none.  weights: (..., S, 2) float32, of corners 1 and 2.  A texel that no sample
+    found: ((y1 - y0) * width, S) int32, -1 for none.  weights: (..., S, 2) float32, of corners 1 and 2.  extent: (texels,) float32, by which samples
+    `texel_sample` are found: `EXTENT`, or 1 where none of those shows anything.  A texel that no sample
     of a triangle falls into, but its middle does, gets that: no triangle, however small, is lost.
     """
     found[:] = -1
+    extent[:] = EXTENT
+    _find(uv, y0, y1, width, samples, seed, found, weights, extent)
+    for texel in range(len(found)):
+        if (found[texel] < 0).all():
+            extent[texel] = _1
+    _find(uv, y0, y1, width, samples, seed, found, weights, extent)
+    for k in range(len(uv)):
+        x = int(np.floor((uv[k, 0, 0] + uv[k, 1, 0] + uv[k, 2, 0]) * np.float32(1 / 3)))
+        y = int(np.floor((uv[k, 0, 1] + uv[k, 1, 1] + uv[k, 2, 1]) * np.float32(1 / 3)))
+        if y0 <= y < y1 and 0 <= x < width and (found[(y - y0) * width + x] < 0).all():
+            found[(y - y0) * width + x, 0] = k
+            weights[(y - y0) * width + x, 0] = np.float32(1 / 3)
+
+
+@leaf
+def _find(uv, y0, y1, width, samples, seed, found, weights, extent):
+    """`cover` by samples alone: of those that have found nothing yet."""
     for k in range(len(uv)):
         ax, ay = np.float64(uv[k, 0, 0]), np.float64(uv[k, 0, 1])
         ex, ey, fx, fy = uv[k, 1, 0] - ax, uv[k, 1, 1] - ay, uv[k, 2, 0] - ax, uv[k, 2, 1] - ay
@@ -113,18 +143,12 @@ def cover(uv, y0, y1, width, samples, seed, found, weights):
                 for s in range(samples):
                     if found[texel, s] >= 0:
                         continue
-                    jx, jy = pixel_sample(s, seed, y * width + x)
+                    jx, jy = texel_sample(s, seed, y * width + x, extent[texel])
                     px, py = x + np.float64(jx) - ax, y + np.float64(jy) - ay
                     u, v = (px * fy - fx * py) * inverse, (ex * py - px * ey) * inverse
                     if u >= 0.0 and v >= 0.0 and u + v <= 1.0:
                         found[texel, s] = k
                         weights[texel, s, 0], weights[texel, s, 1] = u, v
-    for k in range(len(uv)):
-        x = int(np.floor((uv[k, 0, 0] + uv[k, 1, 0] + uv[k, 2, 0]) * np.float32(1 / 3)))
-        y = int(np.floor((uv[k, 0, 1] + uv[k, 1, 1] + uv[k, 2, 1]) * np.float32(1 / 3)))
-        if y0 <= y < y1 and 0 <= x < width and (found[(y - y0) * width + x] < 0).all():
-            found[(y - y0) * width + x, 0] = k
-            weights[(y - y0) * width + x, 0] = np.float32(1 / 3)
 
 
 class _Samples(NamedTuple):
@@ -453,7 +477,7 @@ def view_texels(
     def work(begin, end):
         texels = (end - begin) * width
         found, weights = np.empty((texels, samples), np.int32), np.empty((texels, samples, 2), np.float32)
-        cover(charts.uv, begin, end, width, samples, np.uint32(seed), found, weights)
+        cover(charts.uv, begin, end, width, samples, np.uint32(seed), found, weights, np.empty(texels, np.float32))
         room = ShadingPoints.allocate(int((found >= 0).sum()) * (1 + is_translucent(scene)))
         n, rays = shade_rows(
             scene, charts.triangle, footprint, found, weights, begin, width, np.uint32(seed), materials, False, room, state, layers

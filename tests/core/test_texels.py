@@ -41,16 +41,23 @@ def oracle(uv, width, height, samples):
     found = np.full((height * width, samples), -1)
     for y in range(height):
         for x in range(width):
-            for s in range(samples):
-                jx, jy = pixel_sample(s, np.uint32(SEED), y * width + x)
-                for k, (a, b, c) in enumerate(uv.astype(float)):
-                    m = np.column_stack([b - a, c - a])
-                    if abs(np.linalg.det(m)) > 0:
-                        u, v = np.linalg.solve(m, (x + jx, y + jy) - a)
-                        if u >= 0 and v >= 0 and u + v <= 1:
-                            found[y * width + x, s] = k
-                            break
+            for extent in (tx.EXTENT, 1):
+                if (found[y * width + x] < 0).all():
+                    found[y * width + x] = [holder(uv, x, y, s, y * width + x, extent) for s in range(samples)]
     return found
+
+
+def holder(uv, x, y, s, texel, extent):
+    """The first triangle that holds sample s of a texel, -1 for none."""
+    jx, jy = pixel_sample(s, np.uint32(SEED), texel)
+    place = x + 0.5 + extent * (jx - 0.5), y + 0.5 + extent * (jy - 0.5)
+    for k, (a, b, c) in enumerate(uv.astype(float)):
+        m = np.column_stack([b - a, c - a])
+        if abs(np.linalg.det(m)) > 0:
+            u, v = np.linalg.solve(m, place - a)
+            if u >= 0 and v >= 0 and u + v <= 1:
+                return k
+    return -1
 
 
 def test_cover_equals_the_oracle():
@@ -62,7 +69,9 @@ def test_cover_equals_the_oracle():
     for y0, y1 in ((0, height), (2, 5)):
         found = np.empty(((y1 - y0) * width, samples), np.int32)
         weights = np.empty((*found.shape, 2), np.float32)
-        tx.cover(uv, y0, y1, width, samples, np.uint32(SEED), found, weights)
+        extent = np.empty(len(found), np.float32)
+        tx.cover(uv, y0, y1, width, samples, np.uint32(SEED), found, weights, extent)
+        assert set(extent) == {tx.EXTENT, 1}
         rows = expected[y0 * width : y1 * width]
         centroids = (found != rows).any(axis=1)
         # Only a texel that no sample has found may hold a triangle's middle.
@@ -81,6 +90,17 @@ def test_a_triangle_smaller_than_the_samples_still_has_a_texel(build, seen):
     texels = seen(*build.quads(FLOOR), [0, 1], uv, (8, 8), samples=1)
     assert (texels.state == tx.LIT).sum() == 1
     assert texels.state[3, 4] == tx.LIT  # v is up, rows go down
+
+
+def test_a_texel_is_seen_in_its_middle_and_at_an_edge_wherever_it_shows_something(build, seen):
+    # The floor ends at 7.1 of 8 columns, before the middle of the last one, whose samples are found in what it does reach.
+    texels = seen(*build.quads(FLOOR), [0, 1], quad_uv((0, 0), (7.1 / 8, 1)), (8, 8), samples=16)
+    across = (texels.points.position[:, None, 0] + np.pad(texels.points.spread[..., 0], ((0, 0), (1, 0)))) * 7.1
+    offset = across - texels.points.pixel[:, None] % 8
+    last = texels.points.pixel % 8 == 7
+    assert (texels.state == tx.LIT).mean() > 0.9 and last.sum() > 4
+    assert (np.abs(offset[~last] - 0.5) <= tx.EXTENT / 2 + 1e-4).all() and (np.abs(offset[~last] - 0.5) > 0.2).any()
+    assert (offset[last] > 0).all() and (offset[last] < 0.1 + 1e-4).all()
 
 
 def test_points_lie_where_the_map_says(build, seen):
