@@ -265,13 +265,13 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
         geometry.object_blockers = np.array([part.blockers for part in parts], np.int32)
     world = np.empty((sum(vertex_counts), 3), np.float64)
     index = {material: i for i, material in enumerate(found.materials)}
-    mirrored, broken = np.zeros(len(parts), bool), np.zeros(len(parts), bool)
+    placed = np.stack([part.matrix for part in parts]) if parts else np.zeros((0, 4, 4))
+    normal_matrices, mirrored, broken = _normal_matrices(placed[:, :3, :3])
     v = t = 0
     for members in found.batches:
         mesh, n = parts[members[0]].mesh, len(members)
         vertices, triangles = slice(v, v + n * len(mesh.vertices)), slice(t, t + n * len(mesh.corners))
-        matrices = np.stack([parts[i].matrix for i in members])
-        normal_matrix, mirrored[members], broken[members] = _normal_matrices(matrices[:, :3, :3])
+        matrices, normal_matrix = placed[members], normal_matrices[members]
         batch = Batch(
             parts=[parts[i] for i in members],
             world=world[vertices].reshape(n, -1, 3),

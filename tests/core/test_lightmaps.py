@@ -189,6 +189,46 @@ def test_denoising_leaves_no_dark_edges():
     assert clean[rim].mean() == pytest.approx(1.0, abs=0.1)
 
 
+class Unchanged:
+    """Denoises nothing, and keeps what it was given."""
+
+    def denoise(self, color, albedo, normal, **_):
+        assert color.shape == albedo.shape == normal.shape
+        self.color, self.normal = color, normal
+        return color
+
+
+def test_charts_are_denoised_close_together_and_come_back_to_their_places():
+    rng = np.random.default_rng(4)
+    state = np.zeros((200, 120), np.uint8)
+    for y, x, height, width in ((3, 2, 30, 40), (90, 70, 20, 50), (150, 5, 1, 9), (170, 100, 30, 20)):
+        state[y : y + height, x : x + width] = LIT
+    state[93:100, 80:90] = HIDDEN
+    lit = state == LIT
+    image, normal = (np.where(lit[..., None], rng.random((200, 120, 3)), 0).astype(np.float32) for _ in range(2))
+    denoiser, around = Unchanged(), filling.surroundings(state)
+    clean = filling.denoised(image, normal, normal, around, denoiser, 1)
+    assert clean == pytest.approx(image, abs=1e-6)
+    assert denoiser.color[..., 0].size < 0.5 * state.size
+    # Each chart is seen with its mirror image around it, as in the whole image.
+    packed = filling.packing(lit)
+    whole = image.reshape(-1, 3)[around.mirrored]
+    assert np.array_equal(denoiser.color, whole.reshape(-1, 3)[packed.source])
+    y, x = np.argwhere(lit)[::97].T
+    down, right = packed.place[y, x] // packed.source.shape[1], packed.place[y, x] % packed.source.shape[1]
+    for dy, dx in ((-5, 0), (0, -2), (4, 4)):
+        inside = (y + dy >= 0) & (y + dy < 200) & (x + dx >= 0) & (x + dx < 120)
+        beside = packed.source[(down + dy)[inside], (right + dx)[inside]]
+        assert np.array_equal(beside, ((y + dy) * 120 + x + dx)[inside])
+
+
+def test_charts_that_fill_their_image_stay_where_they_are():
+    assert filling.packing(np.ones((40, 30), bool)) is None
+    scattered = np.zeros((60, 60), bool)
+    scattered[::5, ::5] = True  # each would take its surroundings along
+    assert filling.packing(scattered) is None
+
+
 @pytest.fixture
 def cut_plane(build):
     """Geometry of two unit squares side by side, and charts that hold them apart: the shared edge x = 1 is a seam of two texel columns."""
