@@ -133,8 +133,12 @@ def comparable(state: np.ndarray, chart: np.ndarray) -> np.ndarray:
 
     chart: (H, W) int, as `chart_image` has it.
     """
-    alike = maximum_filter(chart, 3) == minimum_filter(chart, 3)
-    return binary_erosion(state == LIT, np.ones((3, 3))) & alike
+    return binary_erosion(state == LIT, np.ones((3, 3))) & _alone(chart)
+
+
+def _alone(chart: np.ndarray) -> np.ndarray:
+    """Texels (H, W) bool beside which no other chart lies, nor the gap between charts."""
+    return maximum_filter(chart, 3) == minimum_filter(chart, 3)
 
 
 def chart_image(geometry: Geometry, charts: Charts, size: tuple[int, int]) -> np.ndarray:
@@ -170,7 +174,8 @@ def _rows(
     """Time, error, seams and black texels of one scene."""
     target, geometry = prepared.targets[0], prepared.arrays.geometry
     charts = Charts.of(target.triangles, target.uv, target.size)
-    lit, shown = comparable(state, chart_image(geometry, charts, target.size)), state == LIT
+    chart = chart_image(geometry, charts, target.size)
+    lit, shown = comparable(state, chart), state == LIT
     seams = find_seams(geometry, charts)
     mean = (halves[0] + halves[1]) / 2
 
@@ -182,7 +187,7 @@ def _rows(
     scale = BLACK * mean[lit].mean()
     # Light that one half knows only is a firefly of the reference.
     known = np.min([half.max(axis=2) for half in halves], axis=0) > 2 * scale
-    black = [int(((image.max(axis=2) < scale) & known & shown).sum()) for image in (ours.image, peer.image)]
+    black = [int(((image.max(axis=2) < scale) & known & shown & _alone(chart)).sum()) for image in (ours.image, peer.image)]
     title = f"{name}, {target.size[0]}x{target.size[1]}, {int(shown.sum()):,} texels"
     rows = [
         _row(f"{title}: seconds, and of Cycles at {samples} samples + OIDN", ours.time, "s", peer.time),

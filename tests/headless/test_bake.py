@@ -1,6 +1,7 @@
 """`lumigate bake`: what it leaves, what it refuses, and its light against Cycles' bake of the same texels."""
 
 import json
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -11,7 +12,7 @@ from lumigate import sample_scenes
 from lumigate.addon.lightmaps import LightmapRequest, choose_objects, prepare
 from lumigate.core import metrics
 from lumigate.core.settings import BakeSettings, RenderSettings
-from lumigate.core.view.texels import Charts
+from lumigate.core.view.texels import LIT, Charts
 from lumigate.headless.cli import main
 from lumigate.headless.cycles_bake import bake_by_cycles
 from lumigate.headless.lightmap_bench import chart_image, comparable, lightmap_rows, round_trip_row
@@ -167,6 +168,17 @@ def test_light_is_that_of_cycles(content):
     assert abs(metrics.bias(test, mean)) < 0.015 + 2 * noise
     assert metrics.net_relmse(test, a, b) < 0.04  # .022 measured, most of it in edges of charts
     assert not ((test.max(axis=2) < 0.01 * mean.mean()) & (mean.max(axis=2) > 0.05 * mean.mean())).any()
+
+
+def test_texels_beside_another_chart_are_not_compared():
+    # Two squares that touch in the map and not in space, of two triangles each; the whole image shows a surface.
+    corners = np.array([(0, 0), (8, 0), (8, 12), (0, 12)], np.float32)
+    uv = np.concatenate([(corners + np.array([x, 0]))[[[0, 1, 2], [0, 2, 3]]] for x in (0, 8)])
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    chart = chart_image(SimpleNamespace(triangles=triangles), Charts(np.arange(4, dtype=np.int32), uv.astype(np.float32)), (16, 12))
+    assert (chart[:, :8] == chart[0, 0]).all() and (chart[:, 8:] == chart[0, 8]).all() and chart[0, 0] != chart[0, 8]
+    compared = comparable(np.full((12, 16), LIT), chart)
+    assert compared[1:-1, 1:7].all() and compared[1:-1, 9:15].all() and not compared[:, 7:9].any()
 
 
 @pytest.mark.slow
