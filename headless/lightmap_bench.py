@@ -142,10 +142,16 @@ def _alone(chart: np.ndarray) -> np.ndarray:
 
 
 def chart_image(geometry: Geometry, charts: Charts, size: tuple[int, int]) -> np.ndarray:
-    """Which chart each texel of an image of `size` (width, height) shows, (H, W) int, -1 for none: triangles that share corners in space and in the map are one."""
+    """Which chart each texel of an image of `size` (width, height) shows, (H, W) int, -1 for none.
+
+    Triangles are of one that share corners in space, in the map and in their normals: not the sides of a box that is unfolded in one piece.
+    """
     width, height = size
-    corners = np.concatenate([geometry.triangles[charts.triangle][..., None], np.rint(1024 * charts.uv).astype(np.int64)], axis=2)
-    key = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1)
+    fine = [
+        np.rint(scale * values).astype(np.int64) for scale, values in ((1024, charts.uv), (64, geometry.corner_normals[charts.triangle]))
+    ]
+    corners = np.concatenate([geometry.triangles[charts.triangle][..., None], *fine], axis=2)
+    key = np.unique(corners.reshape(-1, 6), axis=0, return_inverse=True)[1].reshape(-1)
     triangles = np.repeat(np.arange(len(charts.triangle)), 3)
     held = sparse.csr_matrix((np.ones(len(key)), (triangles, key)), shape=(len(charts.triangle), key.max() + 1))
     label = sparse.csgraph.connected_components(held @ held.T, directed=False)[1]

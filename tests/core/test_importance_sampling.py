@@ -756,6 +756,20 @@ def test_fewer_particles_fly_for_small_pictures(room, monkeypatch, points_of_a_l
     assert len(flown) == batches
 
 
+def test_texels_share_more_lights_and_fewer_paths_than_pixels(room):
+    """Their rays and their denoiser leave what neighbours have in common: lights, of which as many as have flown are kept."""
+    tables, points = room
+    lights, paths = [], []
+    for texels in (None, len(points.pixel)):
+        solver = ImportanceSampling(samples=24, gather=24, seed=3)
+        solver.cache_light(tables, points, texels=texels)
+        paths.append((solver.probes.valid[::DEPTH] > 0).sum())
+        found, _ = solver.prepare(tables, points, 64)
+        lights.append(len(found.bounce))
+    assert lights[1] > 2 * lights[0]
+    assert paths[1] == pytest.approx(0.5 * paths[0], rel=0.1)
+
+
 def test_lamps_that_glossy_surfaces_do_not_see_are_not_reflected_by_them(build):
     floor = build.geometry(*build.quads([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]))
     materials = build.glossy_materials((0.0, 0.0), albedo=0.8, roughness=0.3)

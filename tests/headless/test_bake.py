@@ -170,12 +170,20 @@ def test_light_is_that_of_cycles(content):
     assert not ((test.max(axis=2) < 0.01 * mean.mean()) & (mean.max(axis=2) > 0.05 * mean.mean())).any()
 
 
-def test_texels_beside_another_chart_are_not_compared():
-    # Two squares that touch in the map and not in space, of two triangles each; the whole image shows a surface.
+@pytest.mark.parametrize("folded", [False, True])
+def test_texels_beside_another_chart_are_not_compared(folded):
+    # Two squares of two triangles each, which touch in the map: apart in space, or the sides of a box.  The whole image shows a surface.
     corners = np.array([(0, 0), (8, 0), (8, 12), (0, 12)], np.float32)
     uv = np.concatenate([(corners + np.array([x, 0]))[[[0, 1, 2], [0, 2, 3]]] for x in (0, 8)])
     triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
-    chart = chart_image(SimpleNamespace(triangles=triangles), Charts(np.arange(4, dtype=np.int32), uv.astype(np.float32)), (16, 12))
+    normals = np.zeros((4, 3, 3), np.float32)
+    normals[..., 2] = 1
+    if folded:
+        triangles[2:] = [[1, 4, 5], [1, 5, 2]]
+        normals[2:] = 1, 0, 0
+    chart = chart_image(
+        SimpleNamespace(triangles=triangles, corner_normals=normals), Charts(np.arange(4, dtype=np.int32), uv.astype(np.float32)), (16, 12)
+    )
     assert (chart[:, :8] == chart[0, 0]).all() and (chart[:, 8:] == chart[0, 8]).all() and chart[0, 0] != chart[0, 8]
     compared = comparable(np.full((12, 16), LIT), chart)
     assert compared[1:-1, 1:7].all() and compared[1:-1, 9:15].all() and not compared[:, 7:9].any()
