@@ -48,10 +48,8 @@ from .textured import direction_density, draw_direction, draw_place, place_densi
 from .world import emit_world
 
 OUTLIERS = 0.02, 0.1, 0.0  # shares of the places beyond either end of a focus along each axis
-GROWTH, MOST_WIDER = (
-    4.0,
-    4,
-)  # in size, from one focus around all places to a wider one, as many as fit into the whole: what just misses one weighs the square of it more
+# In size, from one focus around all places to a wider one, as many as fit into the whole: what just misses one weighs the square of it more.
+GROWTH, MOST_WIDER = 4.0, 4
 MARGIN = 0.05  # of a focus's size, on all sides
 FAR = 0.05  # of its flux, at least, counts what an emitter sends elsewhere
 WORTHWHILE = 0.5  # of the whole box's surface: larger focuses gain nothing
