@@ -31,9 +31,9 @@ REMAINDER = "Remainder"
 # Flags of a material (`Materials.flags`).  ANGLED: its nodes ask for the side or the angle that it is seen from.  MIRRORING is
 # set for views alone (core/view/mirrors.py), BRUSHED and METAL for the rest of the transport (core/surfaces/brushed.py), and so is
 # COVERED (core/coincident.py): a material of one triangle, which is black in parts.  TELLING: it shows shadow rays something else than diffuse ones.  PAST_NORMAL: its
-# bumps mirror what they turn their backs on.
+# bumps mirror what they turn their backs on.  SMOOTH_COAT: they lie under a coat, which has the surface's own normal.
 EMISSIVE, TRANSPARENT, GLOSSY_LOBE, CONSTANT, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, ANGLED, MIRRORING = 1, 2, 4, 8, 16, 32, 64, 128, 256
-FROSTED, COATED, BRUSHED, METAL, COVERED, TELLING, PAST_NORMAL = 512, 1024, 2048, 4096, 8192, 16384, 32768
+FROSTED, COATED, BRUSHED, METAL, COVERED, TELLING, PAST_NORMAL, SMOOTH_COAT = 512, 1024, 2048, 4096, 8192, 16384, 32768, 65536
 
 
 @dataclass

@@ -136,7 +136,7 @@ def _link(programs: list[Program], names: list[str], textures: TexturePool, warn
                 | (scene.TELLING | scene.ANGLED) * _tells_shadow_rays(program)
             )
         bumpy = ops.NORMAL_MAP in operations
-        flags[m] |= (scene.NORMAL_MAPPED | scene.PAST_NORMAL * _PAST_NORMALS) * bumpy
+        flags[m] |= (scene.NORMAL_MAPPED | scene.PAST_NORMAL * _PAST_NORMALS | scene.SMOOTH_COAT * _has_smooth_coat(program)) * bumpy
     header, texels_u8, texels_f32 = textures.tables()
     instructions = np.concatenate(code)
     functions = outlined.addresses({int(op) for op in instructions[:, 0]})
@@ -146,6 +146,12 @@ def _link(programs: list[Program], names: list[str], textures: TexturePool, warn
 def _tells_shadow_rays(program: Program) -> bool:
     """Whether it shows shadow rays something else than diffuse ones."""
     return any(op == ops.VIEWED and bool(p & scene.SHADOW) != bool(p & scene.DIFFUSE) for op, _, p in program.instructions)
+
+
+def _has_smooth_coat(program: Program) -> bool:
+    """Whether all coats in it have the surface's own normal."""
+    bent = [not p for op, _, p in program.instructions if op == ops.COAT_CLOSURE]
+    return bool(bent) and not any(bent)
 
 
 def _is_frosted(program: Program) -> bool:

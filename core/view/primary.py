@@ -40,6 +40,7 @@ from .tile import (
     ALBEDO,
     BEYOND,
     CLEAR,
+    COAT_SHADED,
     DEPTH,
     EMITTED,
     ERROR,
@@ -204,20 +205,20 @@ def _compare(varied, own, whole, members):
 
 
 @leaf
-def _turn(sample, member, members, chosen, turned):
+def _turn(sample, member, members, chosen, shaded, turned):
     """Sets what `ShadingPoints.turned` says of a point's members, where their normals differ.
 
-    By however little: were it a matter of degree, it would be one of chance, and the denoiser would see holes where highlights are kept from it.
+    shaded: column of the normals.  By however little: were it a matter of degree, it would be one of chance, and the denoiser would see holes where highlights are kept from it.
     """
     ax = ay = az = np.float32(0.0)
     for j in range(members):
         own = sample[member[j]]
         apart = np.float32(0.0)
         for c in range(3):
-            apart += (own[SHADED + c] - own[FACING + c]) ** 2
+            apart += (own[shaded + c] - own[FACING + c]) ** 2
         if apart <= FLAT:  # normals of faces with an edge between them do not turn
             return
-        ax, ay, az = ax + own[SHADED], ay + own[SHADED + 1], az + own[SHADED + 2]
+        ax, ay, az = ax + own[shaded], ay + own[shaded + 1], az + own[shaded + 2]
     length = np.float32(math.sqrt(ax * ax + ay * ay + az * az))
     if members < LEAST_MEMBERS or length < np.float32(0.5) * np.float32(members):
         return
@@ -226,8 +227,8 @@ def _turn(sample, member, members, chosen, turned):
     xx = xy = yy = np.float32(0.0)
     for j in range(members):
         own = sample[member[j]]
-        x = own[SHADED] * tx + own[SHADED + 1] * ty + own[SHADED + 2] * tz
-        y = own[SHADED] * bx + own[SHADED + 1] * by + own[SHADED + 2] * bz
+        x = own[shaded] * tx + own[shaded + 1] * ty + own[shaded + 2] * tz
+        y = own[shaded] * bx + own[shaded + 1] * by + own[shaded + 2] * bz
         xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
     # Principal axes of the covariance; a uniform spread of half width h has the variance h^2 / 3.
     scale = np.float32(3.0) / np.float32(members - 1)
@@ -241,7 +242,7 @@ def _turn(sample, member, members, chosen, turned):
     wide = min(np.float32(math.sqrt(max(middle + root, np.float32(0.0)))), WIDEST)
     thin = min(np.float32(math.sqrt(max(middle - root, np.float32(0.0)))), WIDEST)
     own = sample[member[chosen]]
-    turned[0, 0], turned[0, 1], turned[0, 2] = ax - own[SHADED], ay - own[SHADED + 1], az - own[SHADED + 2]
+    turned[0, 0], turned[0, 1], turned[0, 2] = ax - own[shaded], ay - own[shaded + 1], az - own[shaded + 2]
     turned[1, 0], turned[1, 1], turned[1, 2] = wide * (c * tx + s * bx), wide * (c * ty + s * by), wide * (c * tz + s * bz)
     turned[2, 0], turned[2, 1], turned[2, 2] = thin * (c * bx - s * tx), thin * (c * by - s * ty), thin * (c * bz - s * tz)
 
@@ -258,6 +259,7 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
     triangles = tile.hits.view(np.int32)
     share = np.float32(1.0) / np.float32(tile.taken[lane])
     side, lobe = np.float32(1.0), np.float32(1.0)
+    shaded = COAT_SHADED if turn == COAT_POINTS else SHADED
     albedo, upto = G_ALBEDO, G_ROUGHNESS
     if turn == TRANSLUCENT_POINTS:
         albedo, upto = G_TRANSLUCENCY, G_TRANSLUCENCY + 3
@@ -303,7 +305,7 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
         for c in range(3):
             points.position[i, c] = sample[best, PLACE + c]
             points.ng[i, c] = side * sample[best, FACING + c]
-            points.ns[i, c] = side * sample[best, SHADED + c]
+            points.ns[i, c] = side * sample[best, shaded + c]
             points.wo[i, c] = -tile.direction[lane, best, c]
             points.albedo[i, c] = weight * group[k, albedo + c]
             points.f0[i, c] = lobe * weight * group[k, G_F0 + c]
@@ -327,7 +329,7 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
             points.error[i] = max(points.error[i], sample[other, ERROR])
             for c in range(3):
                 points.spread[i, j, c] = sample[other, PLACE + c] - sample[best, PLACE + c]
-                points.varied[i, j + 1, TURNS + c] = side * (sample[other, SHADED + c] - sample[best, SHADED + c])
+                points.varied[i, j + 1, TURNS + c] = side * (sample[other, shaded + c] - sample[best, shaded + c])
                 points.varied[i, j + 1, FACES + c] = side * (sample[other, FACING + c] - sample[best, FACING + c])
             points.varied[i, j + 1, REFLECTS] = sample[other, REFLECTED_PART]
             points.facet[i, j] = triangles[lane, other, 0]
@@ -338,7 +340,7 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
         _compare(points.varied[i], sample[best, REFLECTED_PART], whole, group[k, MEMBERS])
         shine = points.f0[i, 0] + points.f0[i, 1] + points.f0[i, 2] + points.f90[i, 0] + points.f90[i, 1] + points.f90[i, 2]
         if shine > 0 and turn <= COAT_POINTS:  # the straight way through glass knows no normal
-            _turn(sample, member, members, chosen, points.turned[i])
+            _turn(sample, member, members, chosen, shaded, points.turned[i])
         points.pixel[i] = pixel
         points.triangle[i] = triangles[lane, best, 0]
         points.roughness[i] = group[k, G_ROUGHNESS] / group[k, MEMBERS]

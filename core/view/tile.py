@@ -26,7 +26,19 @@ from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import T_FAR, WIDTH, disable_ray, hit_t, hit_triangle, hit_u, hit_v, set_ray
 from ..rays.trace import ALL, COHERENT, intersect_packet
 from ..sampling.hashing import hash_key, to_unit, uniform
-from ..scene import CAMERA, COATED, FROSTED, GLOSSY, MIRRORING, NORMAL_MAPPED, REFRACTIVE, TRANSLUCENT, TRANSMISSION, TRANSPARENT
+from ..scene import (
+    CAMERA,
+    COATED,
+    FROSTED,
+    GLOSSY,
+    MIRRORING,
+    NORMAL_MAPPED,
+    REFRACTIVE,
+    SMOOTH_COAT,
+    TRANSLUCENT,
+    TRANSMISSION,
+    TRANSPARENT,
+)
 from ..surfaces.arithmetic import normalized
 from ..surfaces.bending import bent, scattered
 from ..surfaces.bumps import mean_shadowing
@@ -89,7 +101,7 @@ SHOWN, STRAIGHT, REFRACTED, REFLECTED = 1, 2, 4, 8
 LOOKING = SHOWN | 16  # shows a pane of frosted glass, whose lobe shows all that lies behind, and looks for more of it
 SURFACES, ALL_LIGHT = 1, 2  # what rows of their own show of a mirror's lobe
 # Columns of what is known of a row (`Tile.sample`) and of the sums over a surface's rows (`Tile.group`).
-PLACE, ERROR, FACING, SHADED, TILTED, ROUGH, BEYOND, SHEENED, REFLECTED_PART, SAMPLE = 0, 3, 4, 7, 10, 11, 12, 13, 17, 18
+PLACE, ERROR, FACING, SHADED, TILTED, ROUGH, BEYOND, SHEENED, REFLECTED_PART, COAT_SHADED, SAMPLE = 0, 3, 4, 7, 10, 11, 12, 13, 17, 18, 21
 MEMBERS, G_ALBEDO, G_F0, G_F90, G_ROUGHNESS, G_TRANSLUCENCY, G_THROUGH, G_FROST, G_GLOSS, G_COAT, G_COAT_F0, G_COAT_ROUGHNESS, G_COLUMNS = (
     0,
     1,
@@ -131,7 +143,7 @@ class Tile(NamedTuple):
     frost: (16, R) float32, width of the lobe in which a row of frosted glass shows what lies behind it, 0 for none; through: (16, R) uint8, as shown, of that lobe.
     lamps: (16, GLASS, G, 3) float32, light of the lamps in view, summed over the samples, by the surfaces of glass before it.
     out: (16, C) float32, sums of the pixels' layers.  nearest: (16,) int32, the row nearest to the camera, -1 for none.
-    sample: (16, R, SAMPLE) float32, position, its error, geometric and shading normal, tilt and diffuse roughness of each row, solids of glass that a view is in beyond it, `ShadingPoints.sheen`, and its diffuse albedo, all channels together.  group_of: (16, R) int32, which of the
+    sample: (16, R, SAMPLE) float32, position, its error, geometric and shading normal, tilt and diffuse roughness of each row, solids of glass that a view is in beyond it, `ShadingPoints.sheen`, its diffuse albedo, all channels together, and the shading normal of its coat.  group_of: (16, R) int32, which of the
     pixel's surfaces it shows, -1 for none.  groups: (16,) int32, how many there are.  first: (16, R) int32, the first row of each.
     group: (16, R, G_COLUMNS) float32, rows of each, sums of albedo, f0, f90, roughness, translucency, of what frosted glass lets through, of that by its lobe's width, of `layout.GLOSS`, and of coats and of them by their numbers.
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
@@ -649,10 +661,13 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
             signed = _signed(materials.flags[material[triangle]], cosine, behind, tile.kinds[pixel, s], tile.entered[pixel, s])
             evaluate(materials, material[triangle], attributes, triangle, u, v, signed, rows, surface)
+            cx, cy, cz = sx, sy, sz
             if materials.flags[material[triangle]] & NORMAL_MAPPED:
                 sx, sy, sz = surface[NORMAL], surface[NORMAL + 1], surface[NORMAL + 2]
+                if not materials.flags[material[triangle]] & SMOOTH_COAT:
+                    cx, cy, cz = sx, sy, sz
             if behind:
-                gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+                gx, gy, gz, sx, sy, sz, cx, cy, cz = -gx, -gy, -gz, -sx, -sy, -sz, -cx, -cy, -cz
             cosine = lobe_cosine(sx, sy, sz, gx, gy, gz, -dx, -dy, -dz)
             sample[s, BEYOND] = np.float32(passed_glass(np.int64(tile.entered[pixel, s]), behind))
             if not (behind and materials.flags[material[triangle]] & REFRACTIVE):
@@ -687,6 +702,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             sample[s, PLACE], sample[s, PLACE + 1], sample[s, PLACE + 2], sample[s, ERROR] = x, y, z, error
             sample[s, FACING], sample[s, FACING + 1], sample[s, FACING + 2] = gx, gy, gz
             sample[s, SHADED], sample[s, SHADED + 1], sample[s, SHADED + 2], sample[s, TILTED] = sx, sy, sz, surface[TILT]
+            sample[s, COAT_SHADED], sample[s, COAT_SHADED + 1], sample[s, COAT_SHADED + 2] = cx, cy, cz
             sample[s, ROUGH] = surface[DIFFUSE_ROUGHNESS]
             if nearest < 0 or depth[pixel, s] < depth[pixel, nearest]:
                 nearest = s

@@ -51,3 +51,30 @@ def test_metal_mirrors_what_lies_behind_its_bumps(roughness):
     arrays = extract_scene(scene, size=SIZE)
     found = [render(arrays, RenderSettings(method="importance-sampling", bounces=0, seed=seed)).layers["Direct"] for seed in range(4)]
     assert np.mean(found) == pytest.approx(np.mean(reference["Direct"]), rel=0.02)
+
+
+@pytest.mark.parametrize("linked", [False, True], ids=["its own normal", "that of the bumps"])
+def test_a_coat_shines_by_its_own_normal(linked):
+    """A coat lies smoothly over bumps but where Coat Normal says otherwise: the sun that it mirrors is elsewhere."""
+    scene = leaning(0.2, 0.98, Base_Color=(0, 0, 0, 1), Specular_IOR_Level=0.0, Coat_Weight=1.0, Coat_Roughness=0.2)
+    tree = bpy.data.materials["Varnish"].node_tree
+    if linked:
+        lean = next(node for node in tree.nodes if node.type == "NORMAL_MAP")
+        tree.links.new(lean.outputs[0], tree.nodes["Principled BSDF"].inputs["Coat Normal"])
+    scene.world.color = (0, 0, 0)
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    sun.data.energy, sun.data.angle, sun.rotation_euler = 1.0, 0.02, (-math.acos(0.6), 0, 0)
+    scene.collection.objects.link(sun)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=SIZE, bounces=0))
+    arrays = extract_scene(scene, size=SIZE)
+    found = render(arrays, RenderSettings(method="importance-sampling", bounces=0, denoise=False)).layers
+    assert np.mean(found["Direct"]) == pytest.approx(float(np.mean(reference["Direct"])), rel=0.03)
+    assert not any("coat" in warning for warning in arrays.warnings)
+
+
+def test_a_coat_with_other_bumps_than_what_lies_below_has_a_warning():
+    scene = leaning(0.2, 0.98, Coat_Weight=1.0)
+    tree = bpy.data.materials["Varnish"].node_tree
+    other = tree.nodes.new("ShaderNodeNormalMap")
+    tree.links.new(other.outputs[0], tree.nodes["Principled BSDF"].inputs["Coat Normal"])
+    assert any("coat's own normal is left out" in warning for warning in extract_scene(scene, size=SIZE).warnings)

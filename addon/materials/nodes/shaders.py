@@ -40,6 +40,17 @@ def _normal(node: NodeInput, key: str = "Normal") -> None:
         node.emit(ops.NORMAL_MAP, node.context.normal, node.program.attribute(WORLD_NORMAL), p=0)
 
 
+def _has_own_normal(node: NodeInput) -> bool:
+    """Whether the coat of a Principled node lies smoothly over its bumps; warns where it has others."""
+    bumpy = node.linked("Normal")
+    if not node.linked("Coat Normal"):
+        return bumpy  # what displaces the surface bends its coat, too
+    sources = [node.scope.source(node.socket(key)) for key in ("Coat Normal", "Normal")]
+    if not bumpy or sources[0].socket != sources[1].socket:
+        node.warn("the coat's own normal is left out: it shines by that of what lies below")
+    return False
+
+
 def _warn_straight(node: NodeInput, what: str) -> None:
     node.warn(f"{what} bends what the camera sees and the light of lamps; other light goes straight through")
 
@@ -75,7 +86,7 @@ def principled(node: NodeInput, weight: Value) -> None:
     coat = node["Coat Weight"]
     if not _is(coat, 0):
         lobe = node.pack(coat, node["Coat Roughness"], node["Coat IOR"])
-        weight = node.emit(ops.COAT_CLOSURE, lobe, node["Coat Tint"], ZERO, weight)
+        weight = node.emit(ops.COAT_CLOSURE, lobe, node["Coat Tint"], ZERO, weight, p=int(_has_own_normal(node)))
     emission = node.multiply(node["Emission Color"], node["Emission Strength"])
     if emission != ZERO:
         node.emit(ops.EMISSION_CLOSURE, emission, ZERO, ZERO, weight)
