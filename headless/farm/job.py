@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import importlib.util
 import math
 import os
@@ -37,6 +36,22 @@ GONE = "the scheduler has gone; start it again, and the job with --skip-existing
 SLOW = 3.0  # times the usual time of a part, after which an idle worker tries it, too
 
 
+class _Client(Client):
+    """One that has ended where it could not start.
+
+    The end stops a thread under a lock of Dask's.  Were it to come by chance, by the garbage collector while Dask holds that lock to start another, both
+    would wait for ever.
+    """
+
+    def start(self, **kwargs) -> None:
+        """As Dask's."""
+        try:
+            super().start(**kwargs)
+        except BaseException:
+            self.close()
+            raise
+
+
 @contextmanager
 def connected(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     """A client of a scheduler, or of as many workers on this machine; SceneError where there is none to be reached, or nobody to work."""
@@ -51,16 +66,13 @@ def connected(scheduler: str | None, workers: int | None) -> Iterator[Client]:
                 dashboard_address=":0", silence_logs=50,
             )  # fmt: skip
             stack.enter_context(cluster)
-        refused = None
         try:
-            client = stack.enter_context(Client(scheduler or cluster, timeout=CONNECT))
+            client = stack.enter_context(_Client(scheduler or cluster, timeout=CONNECT))
         except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:  # the last two: certificates are missing
             refused = str(error) or type(error).__name__
-        if refused is not None:
-            # The client's end stops a thread under a lock of Dask's.  Were it to come by chance, while Dask holds that lock to start
-            # another, both would wait for ever; nothing holds it any more, now that the error is gone.
-            gc.collect()
-            raise SceneError(f"no scheduler answers at {scheduler!r} ({refused}); start one with `dask scheduler`, or use --workers")
+            raise SceneError(
+                f"no scheduler answers at {scheduler!r} ({refused}); start one with `dask scheduler`, or use --workers"
+            ) from error
         try:
             client.wait_for_workers(1, timeout=CONNECT)
         except TimeoutError as error:
