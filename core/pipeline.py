@@ -429,7 +429,7 @@ def _pass(
     LOADED.add(settings.method)
     own = indirect
     if few:
-        indirect = few.spread(few.stand_in(points, foreseen)[:, None] * indirect, len(points.pixel))
+        indirect = few.spread(few.factor[:, None] * indirect, len(points.pixel))
     picture = Picture.compose(
         seen, light.irradiance, indirect + light.irradiance_by_glass, light.glossy + mirrored.direct,
         light.glossy_by_glass + mirrored.indirect, mirrored.albedo, weight, run.groups, foreseen,

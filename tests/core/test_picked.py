@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from lumigate.core import pipeline
 from lumigate.core.pipeline import render
-from lumigate.core.view.picked import MOST_SCALED, most_each, picked
+from lumigate.core.view.picked import most_each, picked
 from lumigate.core.view.points import ShadingPoints, glossy_albedos
 from lumigate.headless.stress import rooms
 
@@ -76,23 +76,6 @@ def test_light_is_right_in_the_mean():
     noise = np.std(found, axis=0) / len(found) ** 0.5
     assert (np.abs(np.mean(found, axis=0) - wanted) <= 4 * noise + 1e-6).all()
     assert (noise[:3] < 0.02 * wanted[:3]).all() and noise[3] == pytest.approx(0, abs=1e-9)
-
-
-def test_light_as_foreseen_has_no_noise():
-    points = crowd([12, 5, 30, 2])
-    points.albedo[:] = points.albedo[:, :1]
-    foreseen = (1 + 0.3 * np.random.default_rng(2).random(len(points.pixel))).astype(np.float32)
-    few = picked(points, 3, 7)
-    wanted = np.bincount(points.pixel, points.albedo[:, 0] * foreseen)
-    for light, factor in ((foreseen, few.stand_in(points, foreseen)), (np.ones_like(foreseen), few.stand_in(points, None))):
-        own = points.albedo[few.index, 0]
-        got = np.bincount(few.points.pixel, factor * own * light[few.index])
-        if light is foreseen:
-            np.testing.assert_allclose(got, wanted, rtol=1e-5)
-        else:
-            np.testing.assert_allclose(got, np.bincount(few.points.pixel, few.points.albedo[:, 0]), rtol=1e-5)
-    foreseen[few.index] *= 100  # of what was drawn alone: an outlier that must not darken its pixel by more than so much
-    assert (few.stand_in(points, foreseen) >= few.factor / np.float32(MOST_SCALED) * np.float32(0.999)).all()
 
 
 def test_rows_find_their_places():
