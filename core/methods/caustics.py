@@ -73,8 +73,9 @@ FEWEST_AGAIN, LITTLE = 8, 0.005
 MANY = 4  # times as many photons as neighbours, at least: fewer tell nothing
 LOOKS = 32  # of the photons by lobes around it that each point looks at: its own noise is the denoiser's
 FEW_LOOKS = 0.5  # root of the least part of these, where they bring little
-ASKED = 16  # neighbours that tell how far more of them are
-RAYS_A_DISK = 8  # that tell how much of it there is
+ASKED = 24  # neighbours that tell how far more of them are
+NEAR_TELLER = 0.35  # of that distance, in which others take it for theirs
+RAYS_A_DISK, EVERY_ONE = 8, 1 << 30  # rays that tell how much of it there is; count them all
 SPARSE = 2.0  # times the median of the distances at which they lie: none is spread farther
 MOST_LOBES = 16  # one after the other, as in a polished can; few go on so far
 _SURFACES = 32  # that a photon meets at most
@@ -540,12 +541,22 @@ def arranged(photons: Photons, nearest: int, threads: int = 0, *, tested: bool =
 
 
 def _reach(position: np.ndarray, nearest: int, threads: int) -> np.ndarray:
-    """How far about `nearest` others of the photons (P, 3) are around each, (P,) m, by the first so-manyth of them: as good, and cheaper."""
+    """How far about `nearest` others of the photons (P, 3) are around each, (P,) m.
+
+    By the first so-manyth of them, who tell those around, too: that distance differs between two photons by less than what lies between them.
+    """
     part = max(1, nearest // ASKED)
     known, k = -(-len(position) // part), -(-nearest // part)
-    query = partial(cKDTree(position[:known]).query, workers=threads or -1)
-    own, others = query(position[:known], [k + 1])[0], query(position[known:], [k])[0]  # the first ones find themselves, too
-    return np.concatenate([own[:, 0], others[:, 0]])
+    tree = cKDTree(position[:known])
+    query = partial(tree.query, workers=threads or -1)
+    radius = np.empty(len(position))
+    radius[:known] = query(position[:known], [k + 1])[0][:, 0]  # they find themselves, too
+    if known < len(position):
+        away, teller = query(position[known:])
+        radius[known:] = radius[teller]
+        far = known + np.flatnonzero(away > NEAR_TELLER * radius[known:])
+        radius[far] = query(position[far], [k])[0][:, 0]
+    return radius
 
 
 @inlined
@@ -566,13 +577,15 @@ def _is_hole(scene, triangle, u, v, dx, dy, dz, rows, surface):
 
 
 @leaf
-def _met(scene, packet, rows, surface, photons, p, r, tested, seed):
-    """How many of `RAYS_A_DISK` rays through the disk of photon p, of radius r, meet what it lights there; and the rays traced."""
+def _met(scene, packet, rows, surface, photons, p, r, tested, seed, enough):
+    """How many of `RAYS_A_DISK` rays through the disk of photon p, of radius r, meet what it lights there, counted up to `enough`; and the rays traced."""
     mx, my, mz = photons.normal[p, 0], photons.normal[p, 1], photons.normal[p, 2]
     tx, ty, tz, bx, by, bz = orthonormal_basis(mx, my, mz)
     thick = _THICK * r
     met = rays = 0
     for k in range(RAYS_A_DISK):
+        if met >= enough:
+            break
         # Spread as Epanechnikov's kernel is, each by chance: `_keep` takes their number for a binomial's.  Down through all that the light reaches.
         away = r * np.float32(math.sqrt(_1 - math.sqrt(_1 - uniform(seed, p, k, 1))))
         angle = np.float32(2 * math.pi) * uniform(seed, p, k, 0)
@@ -623,7 +636,7 @@ def _count_met(scene, photons, radius, begin, end, seed, met):
     surface = np.zeros(SURFACE, np.float32)
     rays = 0
     for p in range(begin, end):
-        met[p], traced = _met(scene, packet, rows, surface, photons, p, radius[p], True, seed)
+        met[p], traced = _met(scene, packet, rows, surface, photons, p, radius[p], True, seed, EVERY_ONE)
         rays += traced
     return rays
 
@@ -653,14 +666,14 @@ def _keep(scene, photons, radius, tested, begin, end, seed):
         r = radius[p]
         met = 0
         for attempt in range(_SMALLER):
-            met, traced = _met(scene, packet, rows, surface, photons, p, r, tested, seed)
+            met, traced = _met(scene, packet, rows, surface, photons, p, r, tested, seed, RAYS_A_DISK // 2)
             rays += traced
-            if 2 * met >= RAYS_A_DISK or attempt + 1 == _SMALLER:
+            if met >= RAYS_A_DISK // 2 or attempt + 1 == _SMALLER:
                 break
             r *= _HALF  # most of it would be lost: on something small, or beside an edge
         radius[p] = r
         # By rays of their own: a disk that was kept because many rays met it by chance has less of it met than these rays tell.
-        met, traced = _met(scene, packet, rows, surface, photons, p, r, tested, hash_combine(seed, np.uint32(1)))
+        met, traced = _met(scene, packet, rows, surface, photons, p, r, tested, hash_combine(seed, np.uint32(1)), EVERY_ONE)
         rays += traced
         # The mean of this is about one over the part that is met (a binomial's).
         more = min(_MOST_KEPT, np.float32(RAYS_A_DISK + 1) / np.float32(met + 1))
