@@ -29,7 +29,9 @@ AROUND = 5  # pixels along a side of what takes back light that was smeared
 MARGIN = 16  # pixels around what is denoised of a picture, which a denoiser sees, too
 LEAST_FORESEEN = np.float32(1e-6)  # of its mean: what is darker has no light to be told from noise
 LEAST_SOFT = np.float32(1e-3)  # of the mean of what has sharp shadows: less is rounding
-STANDS_OUT = np.float32(1.0)  # times its variance, by which what is given back of sharp shadows is more than noise
+# Of rays to a small lamp, lit or not by chance, the fewest whose own difference tells their variance; that of fewer, by Jeffreys' prior; the pixels along a side in which
+# it is compared.
+TELLING, FEW_RAYS, COMPARED = np.float32(2.0), np.float32(3 / 16), 5
 QUICKER = {"high": "balanced", "balanced": "fast"}  # of OIDN's qualities, for layers that gain little by the better one
 LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
 # What passes average; position and depth are the first one's.
@@ -74,7 +76,8 @@ class Picture:
     own_normal: (H, W, 3) float32, `guide_normal` without what lies behind glass and in mirrors; None for the same.
     mirrored_albedo: (H, W, 3) float32, albedo of what rays from narrow lobes have met, with their noise; None for nothing.
     sharp: (H, W, 3) float32, what diffuse surfaces send of the light of lamps with sharp shadows, part of `direct`; None where it is not told apart.
-    unshadowed: (H, W, 3) float32, what `sharp` would be with nothing in its way; doubt: (H, W, 3) float32, that by the number of rays that have told.
+    unshadowed: (H, W, 3) float32, what `sharp` would be with nothing in its way; doubt: (H, W, 3) float32, that by the number of rays
+    that have told: of several points each by its share.
     shine: (H, W, 3) float32, `highlights` of small things, part of `direct`, too thin for a denoiser to leave them; None for none.
     groups: the light alone of each light group by its name, which add up to the whole; empty where light is not told apart.
     points: diffuse indirect light of the passes' shading points, which knows more than that of pixels; empty where it is not kept.
@@ -130,8 +133,11 @@ class Picture:
         if sharp is not None:
             sharp = sharp.reshape(len(sharp), sharp.shape[1] // 3, 3).sum(axis=1)
             reflected = np.float32(1 / np.pi) * clear * seen.points.albedo
-            doubt = splat(seen.points, reflected * unshadowed / np.maximum(sharp_rays, 1)[:, None], seen.shape)
-            sharp, unshadowed = (splat(seen.points, reflected * light, seen.shape) for light in (sharp, unshadowed))
+            parts_lit = reflected * unshadowed
+            sharp, unshadowed = (splat(seen.points, light, seen.shape) for light in (reflected * sharp, parts_lit))
+            whole_lit = unshadowed.reshape(-1, 3)[seen.points.pixel]
+            shares = np.divide(parts_lit, whole_lit, out=np.zeros_like(parts_lit), where=whole_lit > 0)
+            doubt = splat(seen.points, parts_lit * shares / np.maximum(sharp_rays, 1)[:, None], seen.shape)
         if shine is not None:
             shine = splat(seen.points, clear * shine.reshape(len(shine), shine.shape[1] // 3, 3).sum(axis=1), seen.shape)
         expected = seen.points.albedo * clear
@@ -246,10 +252,25 @@ class Picture:
             soft = cleaned(soft, self.albedo, quality, highlights=True)
         sharp = cleaned(self.sharp, self.albedo, quality, highlights=True)
         if self.unshadowed is not None:
-            told, noise = (self.sharp, self.unshadowed, self.doubt), np.empty(sharp.shape[:2], np.float32)
-            run_chunks(lambda begin, end: _tell_noise(*told, begin, end, noise), len(sharp), ROWS, threads)
-            run_chunks(lambda begin, end: _give_sharp_back(self.sharp, noise, sharp, begin, end), len(sharp), ROWS, threads)
+            self._give_sharp_back(sharp, threads)
         return soft + sharp
+
+    def _give_sharp_back(self, clean: np.ndarray, threads: int) -> None:
+        """Add to `clean`, the denoised light of lamps with sharp shadows, what it lacks of `sharp` (H, W, 3), as far as it is more than the noise of the pixels around.
+
+        Shadows of leaves, which a denoiser takes for noise, differ from what it makes of them by more than their rays' noise, wide penumbras by less.
+        """
+        planes = np.empty((4, *clean.shape[:2]), np.float32)
+        told = self.sharp, clean, self.unshadowed, self.doubt
+        run_chunks(lambda begin, end: _tell_noise(*told, begin, end, *planes), len(clean), ROWS, threads)
+        noise, lacking, lit, rays = (uniform_filter(plane, COMPARED, mode="nearest") for plane in planes)
+        # Rays are in strata, few of which the bounds of shadows cross: noise falls with the root of their number as well, of those that tell what few do.
+        noise /= np.sqrt(np.maximum(rays * np.minimum(lit, 1 - lit), 1))
+        kept = np.zeros_like(noise)
+        np.divide(lacking - noise, lacking, out=kept, where=lacking > noise)
+        run_chunks(lambda begin, end: _add_lacking(self.sharp, self.unshadowed, kept, begin, end, clean), len(clean), ROWS, threads)
+        factor = mean_factor(self.sharp, clean, threads)
+        clean *= np.where(np.isfinite(factor), factor, np.float32(1))
 
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
         """The albedo with what narrow lobes show, of which few rays have told, and whether it is free of noise."""
@@ -413,46 +434,45 @@ def splat(points: ShadingPoints, radiance: np.ndarray, shape: tuple[int, int]) -
 
 
 @kernel
-def _tell_noise(sharp, unshadowed, doubt, begin, end, noise):
-    """Into noise (H, W): the variance of `sharp`, all channels together.
+def _tell_noise(sharp, clean, unshadowed, doubt, begin, end, noise, lacking, lit, rays):
+    """Rows of (H, W): the variance of `sharp` as a part of `unshadowed`, and the square of what `clean` lacks of it, each of all channels together; the lit part of
+    the rays, and their number.
 
-    Lit or not is all that rays to a small lamp tell, so that it is that of a binomial distribution: next to nothing where all rays agree.
+    Lit or not is all that rays to a small lamp tell, so that the variance is that of a binomial distribution, told without bias by the rays themselves.
     """
     for y in range(begin, end):
         for x in range(sharp.shape[1]):
-            noise[y, x] = np.float32(0.0)
+            noise[y, x] = lacking[y, x] = lit[y, x] = rays[y, x] = np.float32(0.0)
             for c in range(3):
                 whole = unshadowed[y, x, c]
-                if whole > 0:
-                    rays = whole / doubt[y, x, c]
-                    # Jeffreys' prior: rays that agree are no proof.
-                    lit = (min(sharp[y, x, c] / whole, np.float32(1.0)) * rays + np.float32(0.5)) / (rays + np.float32(1.0))
-                    noise[y, x] += whole * doubt[y, x, c] * lit * (np.float32(1.0) - lit)
+                if not whole > 0:
+                    continue
+                part, n = min(sharp[y, x, c] / whole, np.float32(1.0)), whole / doubt[y, x, c]
+                noise[y, x] += part * (np.float32(1.0) - part) / (n - np.float32(1.0)) if n >= TELLING else FEW_RAYS
+                lack = abs(sharp[y, x, c] - clean[y, x, c]) / whole
+                if lack > 0:  # nor where that is no number; beside light that the denoiser has smeared, no more than all
+                    lacking[y, x] += min(lack, np.float32(1.0)) ** 2
+                lit[y, x], rays[y, x] = part, n
 
 
 @kernel
-def _give_sharp_back(sharp, noise, clean, begin, end):
-    """Adds to rows of `clean`, the denoised light of lamps with sharp shadows, what it lacks of `sharp` as far as that stands out (James and Stein's estimator)
-    from the noise of the pixels around.
-
-    Shadows of leaves, which a denoiser takes for noise, are dark or lit in most pixels.  In a wide penumbra, where rays of a pixel may agree by chance, those of others do not.
-    """
-    height, width = noise.shape
+def _add_lacking(sharp, unshadowed, kept, begin, end, clean):
+    """Adds to rows of `clean` the part `kept` (H, W) of what they lack of `sharp`, of which no pixel shows a larger part than the most lit of those beside it: few rays
+    find the sun through blinds, and where two of a pixel's do by chance there would be a dot."""
+    height, width = kept.shape
     for y in range(begin, end):
         for x in range(width):
-            squared = usual = np.float32(0.0)
+            if not kept[y, x] > 0:
+                continue
             for c in range(3):
-                squared += (sharp[y, x, c] - clean[y, x, c]) ** 2
-            count = 0
-            for v in range(max(y - 1, 0), min(y + 2, height)):
-                for u in range(max(x - 1, 0), min(x + 2, width)):
-                    usual += noise[v, u]
-                    count += 1
-            usual = STANDS_OUT * max(usual / np.float32(count), noise[y, x])
-            if squared > usual:  # nor where that is no number
-                kept = np.float32(1.0) - usual / squared
-                for c in range(3):
-                    clean[y, x, c] += kept * (sharp[y, x, c] - clean[y, x, c])
+                whole, most = unshadowed[y, x, c], np.float32(0.0)
+                for v in range(max(y - 1, 0), min(y + 2, height)):
+                    for u in range(max(x - 1, 0), min(x + 2, width)):
+                        if (v != y or u != x) and sharp[v, u, c] > most * unshadowed[v, u, c]:
+                            most = sharp[v, u, c] / unshadowed[v, u, c]
+                lack = min(sharp[y, x, c], most * whole) - clean[y, x, c]
+                if abs(lack) < np.inf:  # nor where that is no number
+                    clean[y, x, c] += kept[y, x] * lack
 
 
 @kernel

@@ -10,6 +10,8 @@ import pytest
 from lumigate.core import denoise as dn
 from lumigate.core.picture import Picture
 from lumigate.core.threads import Cancelled
+from lumigate.core.view.points import ShadingPoints
+from lumigate.core.view.primary import View
 
 
 @pytest.fixture(scope="module")
@@ -477,6 +479,37 @@ def test_shadows_of_leaves_are_no_noise(denoiser):
     raw = sunlit(penumbra, 8)[0].direct[..., 0]
     assert np.mean((told - penumbra) ** 2) < 0.35 * np.mean((raw - penumbra) ** 2)
     assert told.mean() == pytest.approx(raw.mean(), rel=5e-3)
+
+
+def test_rays_that_a_lamp_is_hidden_from_by_chance_leave_no_dark_dots(denoiser):
+    share = np.full((96, 128), 0.9)
+    told = sunlit(share, 5)[1].denoised(denoiser, 2).direct[..., 0]
+    assert np.quantile(np.abs(told - share), 0.995) < 0.33
+
+
+@pytest.mark.parametrize("rays", [3, 8])
+def test_rare_sunlight_leaves_no_white_dots(denoiser, rays):
+    """Blinds and foliage far off let through what one ray in thirty finds: where two of a pixel's do, others around it tell that it is by chance."""
+    share = np.full((96, 128), 0.03)
+    whole, told = sunlit(share, rays)
+    light = told.denoised(denoiser, 2).direct[..., 0]
+    assert np.mean((light - share) ** 2) < 0.2 * np.mean((whole.direct[..., 0] - share) ** 2)
+    assert light.mean() == pytest.approx(float(whole.direct.mean()), rel=0.1)
+
+
+def test_rays_to_a_pixel_of_many_points_are_counted_together():
+    points = ShadingPoints.allocate(48)
+    for column in points:
+        column[...] = 0
+    points.pixel[:], points.albedo[:], points.ng[:], points.ns[:] = np.arange(48) // 2, 0.25, (0, 0, 1), (0, 0, 1)
+    layer = np.zeros((4, 6, 3), np.float32)
+    plain = layer[..., 0]
+    seen = View(layer, layer, layer, layer, plain, plain, np.zeros((1, 3, 4, 6, 3), np.float32), points, 48, np.zeros(0, np.int64))
+    light = np.ones((48, 3), np.float32)
+    picture = Picture.compose(
+        seen, light, 0 * light, 0 * light, 0 * light, 0 * light, sharp=light, unshadowed=light, sharp_rays=light[:, 0]
+    )
+    np.testing.assert_allclose(picture.unshadowed / picture.doubt, 2, rtol=1e-6)
 
 
 def test_two_passes_tell_more_of_sharp_shadows_than_one():
