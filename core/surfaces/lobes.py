@@ -39,6 +39,8 @@ _DIELECTRIC = np.float32(0.1)
 _SCHLICK_MEAN = np.float32(1 / 21)
 _SCHLICK_Z = np.float32(0.2**0.5)  # Schlick's term is that of an index of refraction of 1.5, nearly
 _BLUR = np.float32(math.pi / 4)
+_LINE = np.float32(4 / math.pi - 1)
+REACH = np.float32(3.0)  # widths of a lobe beyond a rectangle of slopes, within which it is the rectangle's
 # A lobe gets all of its rays once this times its share of the reflected light is 1.
 _FULL = np.float32(3.0)
 _GRAZING = np.float32(0.01)
@@ -232,14 +234,22 @@ def _value(row, cos_d, dx, dy, dz):
     return w * r, w * g, w * b, d / (_1 + lambda_o)
 
 
+@inlined
+def _long(half, a2, away2):
+    """How much of a line an edge of half the length `half` is to a lobe of the squared width a2 at a squared distance from it: 0 to 1."""
+    square = half * half
+    return square / (square + _2 * a2 + away2)
+
+
 @kernel
 def flattened_lobe(row, along, across, dx, dy, dz):
     """As `lobe_value` (r, g, b in 1/sr), of normals that fill a rectangle of slopes about its own: along and across (3,) are its half axes.
 
     Of the distribution of normals, in slopes (x, y) a^2 / (pi (a^2 + x^2 + y^2)^2), the tails are kept, as if h^2 + k^2 were added to
-    x^2 + y^2: the share a^2 / (a^2 + h^2 + k^2).  The rest is as bright as in its middle within the rectangle, and falls from its edges: that of max(|x| - h, 0) and
-    max(|y| - k, 0), over its integral 1 + (h + k) / a + 4 h k / (pi a^2), with h and k less than the half axes by up to pi a / 4, so that the
-    middle of a large rectangle is as bright as the mean.  Mirrors have such a lobe, too.
+    x^2 + y^2: the share a^2 / (a^2 + h^2 + k^2).  The rest is as bright as in its middle within the rectangle, and falls from its edges: as that of max(|x| - h, 0) and
+    max(|y| - k, 0), but beside a long edge as the integral along a line does, with the power 3/2 in place of 2, as far as the edge is longer than the way from it.  Its
+    integral is 1 + (h (1 + e p) + k (1 + e q)) / a + 4 h k / (pi a^2), p and q being how much of either edge is long, e = 4 / pi - 1; h and k are less than the half axes
+    by up to pi a / 4, so that the middle of a large rectangle is as bright as the mean.  Mirrors have such a lobe, too.
     """
     alpha = max(row[ALPHA], SMALLEST_ALPHA)
     nx, ny, nz = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
@@ -255,23 +265,51 @@ def flattened_lobe(row, along, across, dx, dy, dz):
     wide = np.float32(math.sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]))
     thin = np.float32(math.sqrt(across[0] * across[0] + across[1] * across[1] + across[2] * across[2]))
     inner, narrow = wide * wide / (wide + _BLUR * alpha), thin * thin / (thin + _BLUR * alpha)
+    past = _0  # the edge across `along`
     if wide > _0:
         x = abs(sx * along[0] + sy * along[1] + sz * along[2]) / wide
-        beyond -= x * x - max(x - inner, _0) ** 2
+        past = max(x - inner, _0) ** 2
+        beyond -= x * x - past
     if thin > _0:
         x = abs(sx * across[0] + sy * across[1] + sz * across[2]) / thin
         beyond -= x * x - max(x - narrow, _0) ** 2
-    whole = _1 + (inner + narrow) / alpha + np.float32(4 / math.pi) * inner * narrow / (alpha * alpha)
-    a2, size2 = alpha * alpha, wide * wide + thin * thin
-    fall, tail = _1 + max(beyond, _0) / a2, _1 + (off + size2) / a2
+    a2 = alpha * alpha
+    beside = max(beyond - past, _0)
+    edge = inner * (_1 + _LINE * _long(inner, a2, a2)) + narrow * (_1 + _LINE * _long(narrow, a2, a2))
+    whole = _1 + edge / alpha + np.float32(4 / math.pi) * inner * narrow / a2
+    size2 = wide * wide + thin * thin
+    fall, tail = _1 + (past + beside) / a2, _1 + (off + size2) / a2
+    fall *= fall
+    if past + beside > _0:
+        edge = beside * _long(inner, a2, beside) + past * _long(narrow, a2, past)
+        fall = np.float32(fall ** (_1 - _QUARTER * edge / (past + beside)))
     cos2 = cos_h * cos_h / length2
     kept = a2 / (a2 + size2)
     far = (whole - _1) / max(whole - kept, np.float32(1e-6))  # of the tails: the rest has some, too
-    d = (_1 - far * kept) / (whole * fall * fall) + far / (tail * tail)
+    d = (_1 - far * kept) / (whole * fall) + far / (tail * tail)
     d *= _QUARTER * _1_PI / (a2 * cos2 * cos2 * row[COSINE])
     r, g, b = _reflectance(row, _HALF * np.float32(math.sqrt(length2)))
     w = d / (_1 + smith_lambda(row[COSINE], alpha) + smith_lambda(cos_d, alpha))
     return w * r, w * g, w * b
+
+
+@leaf
+def in_flattened(row, along, across, dx, dy, dz):
+    """Whether a facet that reflects d to the viewer lies in, or within `REACH` widths of the lobe from, the rectangle of slopes of `flattened_lobe`, and d before it."""
+    nx, ny, nz = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
+    hx, hy, hz = row[VIEWER] + dx, row[VIEWER + 1] + dy, row[VIEWER + 2] + dz
+    cos_h = nx * hx + ny * hy + nz * hz
+    if nx * dx + ny * dy + nz * dz <= _0 or cos_h <= _0:
+        return False
+    sx, sy, sz = hx / cos_h - nx, hy / cos_h - ny, hz / cos_h - nz
+    beyond = sx * sx + sy * sy + sz * sz
+    for axis in (along, across):
+        length = np.float32(math.sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]))
+        if length > _0:
+            x = abs(sx * axis[0] + sy * axis[1] + sz * axis[2]) / length
+            beyond -= x * x - max(x - length, _0) ** 2
+    reach = REACH * max(row[ALPHA], SMALLEST_ALPHA)
+    return beyond <= reach * reach
 
 
 @leaf
