@@ -19,7 +19,7 @@ from lumigate.headless.cache import cached_halves
 from .test_direct_light import lamp, look, material, quad
 
 SIZE = (48, 27)
-SEEDS = 4
+SEEDS = 3
 
 
 def closed_room(**inputs):
