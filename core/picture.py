@@ -30,8 +30,8 @@ MARGIN = 16  # pixels around what is denoised of a picture, which a denoiser see
 LEAST_FORESEEN = np.float32(1e-6)  # of its mean: what is darker has no light to be told from noise
 LEAST_SOFT = np.float32(1e-3)  # of the mean of what has sharp shadows: less is rounding
 # Of rays to a small lamp, lit or not by chance, the fewest whose own difference tells their variance; that of fewer, by Jeffreys' prior; the pixels along a side in which
-# it is compared.
-TELLING, FEW_RAYS, COMPARED = np.float32(2.0), np.float32(3 / 16), 5
+# it is compared; and what number of rays is as good as any.
+TELLING, FEW_RAYS, COMPARED, MOST_RAYS = np.float32(2.0), np.float32(3 / 16), 5, np.float32(4096.0)
 QUICKER = {"high": "balanced", "balanced": "fast"}  # of OIDN's qualities, for layers that gain little by the better one
 LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
 # What passes average; position and depth are the first one's.
@@ -268,9 +268,10 @@ class Picture:
         noise /= np.sqrt(np.maximum(rays * np.minimum(lit, 1 - lit), 1))
         kept = np.zeros_like(noise)
         np.divide(lacking - noise, lacking, out=kept, where=lacking > noise)
-        run_chunks(lambda begin, end: _add_lacking(self.sharp, self.unshadowed, kept, begin, end, clean), len(clean), ROWS, threads)
-        factor = mean_factor(self.sharp, clean, threads)
-        clean *= np.where(np.isfinite(factor), factor, np.float32(1))
+        dots = np.zeros((len(clean), 3))
+        run_chunks(lambda begin, end: _add_lacking(self.sharp, self.unshadowed, kept, begin, end, clean, dots), len(clean), ROWS, threads)
+        sums = clean.sum(axis=(0, 1), dtype=np.float64)
+        clean *= 1 + np.divide(dots.sum(axis=0), sums, out=np.zeros(3), where=sums > 0).astype(np.float32)
 
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
         """The albedo with what narrow lobes show, of which few rays have told, and whether it is free of noise."""
@@ -445,34 +446,40 @@ def _tell_noise(sharp, clean, unshadowed, doubt, begin, end, noise, lacking, lit
             noise[y, x] = lacking[y, x] = lit[y, x] = rays[y, x] = np.float32(0.0)
             for c in range(3):
                 whole = unshadowed[y, x, c]
-                if not whole > 0:
+                part = sharp[y, x, c] / whole
+                if not (whole > 0 and part >= 0):  # nor where that is no number, which would be all around it
                     continue
-                part, n = min(sharp[y, x, c] / whole, np.float32(1.0)), whole / doubt[y, x, c]
+                part, n = min(part, np.float32(1.0)), min(whole / doubt[y, x, c], MOST_RAYS)
                 noise[y, x] += part * (np.float32(1.0) - part) / (n - np.float32(1.0)) if n >= TELLING else FEW_RAYS
                 lack = abs(sharp[y, x, c] - clean[y, x, c]) / whole
-                if lack > 0:  # nor where that is no number; beside light that the denoiser has smeared, no more than all
+                if lack > 0:  # beside light that the denoiser has smeared, no more than all
                     lacking[y, x] += min(lack, np.float32(1.0)) ** 2
                 lit[y, x], rays[y, x] = part, n
 
 
 @kernel
-def _add_lacking(sharp, unshadowed, kept, begin, end, clean):
-    """Adds to rows of `clean` the part `kept` (H, W) of what they lack of `sharp`, of which no pixel shows a larger part than the most lit of those beside it: few rays
-    find the sun through blinds, and where two of a pixel's do by chance there would be a dot."""
+def _add_lacking(sharp, unshadowed, kept, begin, end, clean, dots):
+    """Adds to rows of `clean` the part `kept` (H, W) of what they lack of `sharp`, but makes no pixel more lit than the most lit of those beside it: few rays find the sun
+    through blinds, and where two of a pixel's do by chance there would be a dot.  What those would have is added to rows of `dots` (H, 3), for all."""
     height, width = kept.shape
     for y in range(begin, end):
         for x in range(width):
             if not kept[y, x] > 0:
                 continue
             for c in range(3):
-                whole, most = unshadowed[y, x, c], np.float32(0.0)
+                most, alone = np.float32(0.0), True
                 for v in range(max(y - 1, 0), min(y + 2, height)):
                     for u in range(max(x - 1, 0), min(x + 2, width)):
-                        if (v != y or u != x) and sharp[v, u, c] > most * unshadowed[v, u, c]:
-                            most = sharp[v, u, c] / unshadowed[v, u, c]
-                lack = min(sharp[y, x, c], most * whole) - clean[y, x, c]
-                if abs(lack) < np.inf:  # nor where that is no number
-                    clean[y, x, c] += kept[y, x] * lack
+                        if (v != y or u != x) and unshadowed[v, u, c] > 0:
+                            most, alone = max(most, sharp[v, u, c] / unshadowed[v, u, c]), False
+                lack = sharp[y, x, c] - clean[y, x, c]
+                if not abs(lack) < np.inf:  # nor where that is no number
+                    continue
+                if not alone:
+                    bounded = min(lack, max(most * unshadowed[y, x, c] - clean[y, x, c], np.float32(0.0)))
+                    dots[y, c] += kept[y, x] * (lack - bounded)
+                    lack = bounded
+                clean[y, x, c] += kept[y, x] * lack
 
 
 @kernel

@@ -497,6 +497,28 @@ def test_rare_sunlight_leaves_no_white_dots(denoiser, rays):
     assert light.mean() == pytest.approx(float(whole.direct.mean()), rel=0.1)
 
 
+def test_small_things_before_the_sky_keep_their_sunlight(denoiser):
+    share = np.zeros((96, 128))
+    share[8::16, 8::16] = 1  # a pixel each
+    told = sunlit(share, 5)[1]
+    told = replace(told, unshadowed=told.sharp, doubt=told.sharp / np.float32(5))
+    light = told.denoised(denoiser, 2).direct[..., 0]
+    assert light[8::16, 8::16].min() > 0.8
+    one = sunlit(np.ones((1, 1)), 5)[1].denoised(denoiser, 2).direct
+    np.testing.assert_allclose(one, 1, rtol=0.01)
+
+
+def test_one_bad_pixel_spoils_no_others(denoiser):
+    share = (np.random.default_rng(2).random((96, 128)) < 0.5).astype(float)
+    _, good = sunlit(share, 8)
+    sharp = good.sharp.copy()
+    sharp[40, 50] = np.nan
+    light, wanted = (picture.denoised(denoiser, 2).direct for picture in (replace(good, sharp=sharp), good))
+    far = np.ones((96, 128), bool)
+    far[20:60, 30:70] = False
+    np.testing.assert_allclose(light[far], wanted[far], atol=0.1)
+
+
 def test_rays_to_a_pixel_of_many_points_are_counted_together():
     points = ShadingPoints.allocate(48)
     for column in points:
