@@ -471,7 +471,9 @@ def _add_lacking(sharp, unshadowed, kept, begin, end, clean, dots):
                 for v in range(max(y - 1, 0), min(y + 2, height)):
                     for u in range(max(x - 1, 0), min(x + 2, width)):
                         if (v != y or u != x) and unshadowed[v, u, c] > 0:
-                            most, alone = max(most, sharp[v, u, c] / unshadowed[v, u, c]), False
+                            alone = False
+                            if sharp[v, u, c] > most * unshadowed[v, u, c]:
+                                most = sharp[v, u, c] / unshadowed[v, u, c]
                 lack = sharp[y, x, c] - clean[y, x, c]
                 if not abs(lack) < np.inf:  # nor where that is no number
                     continue
