@@ -73,8 +73,7 @@ FEWEST_AGAIN, LITTLE = 8, 0.005
 MANY = 4  # times as many photons as neighbours, at least: fewer tell nothing
 LOOKS = 32  # of the photons by lobes around it that each point looks at: its own noise is the denoiser's
 FEW_LOOKS = 0.5  # root of the least part of these, where they bring little
-ASKED = 24  # neighbours that tell how far more of them are
-NEAR_TELLER = 0.35  # of that distance, in which others take it for theirs
+ASKED = 16  # neighbours that tell how far more of them are
 RAYS_A_DISK, EVERY_ONE = 8, 1 << 30  # rays that tell how much of it there is; count them all
 SPARSE = 2.0  # times the median of the distances at which they lie: none is spread farther
 MOST_LOBES = 16  # one after the other, as in a polished can; few go on so far
@@ -541,22 +540,12 @@ def arranged(photons: Photons, nearest: int, threads: int = 0, *, tested: bool =
 
 
 def _reach(position: np.ndarray, nearest: int, threads: int) -> np.ndarray:
-    """How far about `nearest` others of the photons (P, 3) are around each, (P,) m.
-
-    By the first so-manyth of them, who tell those around, too: that distance differs between two photons by less than what lies between them.
-    """
+    """How far about `nearest` others of the photons (P, 3) are around each, (P,) m, by the first so-manyth of them: as good, and cheaper."""
     part = max(1, nearest // ASKED)
     known, k = -(-len(position) // part), -(-nearest // part)
-    tree = cKDTree(position[:known])
-    query = partial(tree.query, workers=threads or -1)
-    radius = np.empty(len(position))
-    radius[:known] = query(position[:known], [k + 1])[0][:, 0]  # they find themselves, too
-    if known < len(position):
-        away, teller = query(position[known:])
-        radius[known:] = radius[teller]
-        far = known + np.flatnonzero(away > NEAR_TELLER * radius[known:])
-        radius[far] = query(position[far], [k])[0][:, 0]
-    return radius
+    query = partial(cKDTree(position[:known]).query, workers=threads or -1)
+    own, others = query(position[:known], [k + 1])[0], query(position[known:], [k])[0]  # the first ones find themselves, too
+    return np.concatenate([own[:, 0], others[:, 0]])
 
 
 @inlined

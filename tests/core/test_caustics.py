@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from lumigate.core import scene as sc
 from lumigate.core.lamps import build_emitters
-from lumigate.core.methods.caustics import NEAREST, SPARSE, Photons, _reach, add_caustics, arranged, by_lobes, keep_light, trace_photons
+from lumigate.core.methods.caustics import NEAREST, SPARSE, Photons, add_caustics, arranged, by_lobes, keep_light, trace_photons
 from lumigate.core.particles import SHINE, trace_by_power
 from lumigate.core.rays import RayScene
 from lumigate.core.surfaces.layout import GLOSSY_F0, GLOSSY_F90, TRANSPARENCY
@@ -141,15 +141,6 @@ def test_what_each_photon_lights_is_found(lit, far):
     assert disks.radius.max() > 16 * disks.radius.min()
     wanted = one_by_one(disks.photons, points, disks.radius)
     np.testing.assert_allclose(lit(photons, points), wanted, rtol=1e-3, atol=1e-4 * wanted.max())
-
-
-def test_photons_far_from_the_others_have_disks_of_their_own():
-    photons = spot(8000, 0.05)  # dense, and a few around it, each nearer to that than to its like
-    photons.position[-40:, :2] = np.random.default_rng(5).uniform(-3, 3, (40, 2))
-    lonely = np.hypot(*photons.position[:, :2].T) > 0.5
-    true = cKDTree(photons.position).query(photons.position, [257])[0][:, 0]
-    mine = _reach(photons.position, 256, 2)
-    assert np.abs(np.log(mine / true))[lonely].max() < 0.3
 
 
 @pytest.mark.parametrize("nearest", [NEAREST, 256])
