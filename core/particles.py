@@ -43,9 +43,12 @@ from .sampling.hashing import uniform
 from .sampling.maps import cosine_hemisphere, to_world
 from .sampling.sequences import sobol
 from .scene import ANGLED, DIFFUSE, GLOSSY_LOBE, REFRACTIVE, SHADOW, SPOT, TELLING, TRANSLUCENT, TRANSPARENT
+from .surfaces.bending import scattered as scattered_by_glass
 from .surfaces.bumps import shadowing
+from .surfaces.frosted import joined_alpha, rest_alpha
 from .surfaces.layout import (
     BEND,
+    FROST,
     GLOSS,
     GLOSSY_F0,
     GLOSSY_F90,
@@ -65,7 +68,7 @@ from .surfaces.lobes import ALBEDO, ALPHA, LOBE, NORMAL, VIEWER, lobe_value, sam
 from .surfaces.normals import mapped_normal, shading_normal, surface_side
 from .surfaces.program import new_registers
 from .surfaces.sheen import lit_from
-from .surfaces.visibility import OUTSIDE, bends_most, evaluate_along, evaluate_from, passed_glass
+from .surfaces.visibility import OUTSIDE, bends_most, evaluate_along, evaluate_from, passed_glass, scatters
 from .threads import Progress, run_chunks
 from .transport import Transport
 
@@ -316,6 +319,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
     told = np.empty(WIDTH, np.int64)  # whether what a particle has passed then tells these kinds apart
     hiding = np.empty(WIDTH, np.int64)  # kinds of rays that meet what hides its lamp
     owed = np.empty((WIDTH, NESTED), np.float32)
+    frost = np.empty(WIDTH, np.float32)  # width of the lobe in which frosted glass has scattered a particle so far
     n = 0
     n_rays = 0
     albedo_sum = 0.0
@@ -345,7 +349,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                     if scene.emitters.parted:
                         hiding[lane] = kind[lane]
             square[lane] = near[lane] * before[lane]
-            flown[lane] = _0
+            flown[lane] = frost[lane] = _0
         for bounce in range(len(survivors)):
             landed_any = False
             for lane in range(WIDTH):
@@ -396,7 +400,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         scene, triangle, u, v, dx, dy, dz, as_kind if flags & REFRACTIVE else DIFFUSE, entered[lane], rows, surface
                     )
                     seen = scene.object_visibility[scene.object[triangle]]
-                    through = False
+                    through = spread = False
                     ahead = bounce > 0 or flown[lane] + t >= before[lane]
                     receives = seen & DIFFUSE and (bounce > 0 or lights(scene.emitters, emitter[lane], scene.object, triangle))
                     unshadowed = bounce == 0 and not (seen & hiding[lane] and scene.emitters.flags[emitter[lane]] & CASTS_SHADOW)
@@ -441,13 +445,25 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                                     scattered[lane] = uniform(seed, i, bounce, 16 + 2 * _MAX_PASSED + passed) * whole < bent
                                 squared = surface[BEND] * surface[BEND]
                                 bending = bends_most(surface)
+                                if bounce == 0 and by_lamp and scatters(surface):
+                                    spread = True
+                                    joined = joined_alpha(frost[lane], surface[FROST])
+                                    surface[FROST] = rest_alpha(frost[lane], joined)
+                                    frost[lane] = max(frost[lane], joined)
+                                    sx, sy, sz, dx, dy, dz, w = scattered_by_glass(
+                                        scene.materials, scene, scene.material[triangle], triangle, u, v, dx, dy, dz,
+                                        uniform(seed, i, 17, 16 + passed), uniform(seed, i, 18, 16 + passed), surface, lobe,
+                                    )  # fmt: skip
+                                    for c in range(3):
+                                        flux[lane, c] *= w
                                 if behind and by_lamp and bending and entered[lane] == OUTSIDE:
                                     for c in range(3):
                                         flux[lane, c] *= squared
                                 if not behind and by_lamp and bending:
                                     owed[lane, min(entered[lane], NESTED - 1)] = _1 / squared
                                 elif not behind:
-                                    evaluate_along(scene, triangle, u, v, -dx, -dy, -dz, as_kind, OUTSIDE, rows, surface)
+                                    ix, iy, iz = direction[lane, 0], direction[lane, 1], direction[lane, 2]
+                                    evaluate_along(scene, triangle, u, v, -ix, -iy, -iz, as_kind, OUTSIDE, rows, surface)
                                     within = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
                                     owed[lane, min(entered[lane], NESTED - 1)] = within / (tr + tg + tb)
                                 entered[lane] = passed_glass(entered[lane], behind)
@@ -459,6 +475,8 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                         flown[lane] += t
                     if through:
                         ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
+                        if spread:
+                            direction[lane, 0], direction[lane, 1], direction[lane, 2] = dx, dy, dz
                         kinds = DIFFUSE | scene.emitters.shadow_kinds[emitter[lane]] if bounce == 0 else DIFFUSE
                         set_ray(packet, lane, ox, oy, oz, dx, dy, dz, np.float32(0.0), np.float32(np.inf), kinds)
                         n_rays += 1

@@ -288,11 +288,6 @@ def direct_stage(
             shine, by_glass, rays = found
             light = light._replace(glossy=light.glossy + shine, glossy_by_glass=light.glossy_by_glass + by_glass, shine=shine)
             run.rays["shadow"] += rays
-        if lobes and settings.reflections > 0:
-            backs = lamps_by_rays(tables, points)
-            for shown in (light.glossy, light.glossy_by_glass, light.shine):
-                if shown is not None:
-                    shown[backs] = 0
         if settings.bounces > 0 and bends_light(tables):
             # The cache's emitters are aimed at what is seen.
             sources = tables._replace(emitters=sampler.emitters) if sampler and tables is every else tables
@@ -300,8 +295,14 @@ def direct_stage(
                 sources, points.position, settings.vpls, settings.bounces, seed, threads, tick and (lambda _: tick(1.0))
             )
             if caustics:
-                add_caustics(tables, caustics, points, seed, threads, light.irradiance_by_glass)
+                lit = light.irradiance_by_glass, light.glossy_by_glass if lobes else None
+                add_caustics(tables, caustics, points, seed, threads, *lit)
             run.rays["light"] += rays
+        if lobes and settings.reflections > 0:
+            backs = lamps_by_rays(tables, points)
+            for shown in (light.glossy, light.glossy_by_glass, light.shine):
+                if shown is not None:
+                    shown[backs] = 0
         if settings.bounces == 0:  # glass is a bounce
             nothing = np.zeros_like(light.irradiance_by_glass)
             return light._replace(irradiance_by_glass=nothing, glossy_by_glass=nothing)

@@ -30,12 +30,12 @@ from ..sampling.sequences import sobol
 from ..scene import DIFFUSE, SHADOW, SUN
 from ..surfaces.bumps import mean_shadowing, shadowing
 from ..surfaces.layout import EMISSION, SURFACE
-from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count, set_lobe
+from ..surfaces.lobes import ALPHA, LOBE, WIDE_ALPHA, lobe_value, reflection_count, set_lobe
 from ..surfaces.program import new_registers
 from ..surfaces.rough_diffuse import shape
 from ..surfaces.sheen import factors
 from ..surfaces.terminator import LOW, lift
-from ..surfaces.visibility import OUTSIDE, nearest_surface, transmittance1
+from ..surfaces.visibility import BY_LENS, OUTSIDE, nearest_surface, transmittance1
 from ..threads import Progress, run_chunks
 from .departures import REFLECTS, VARIED, differs, is_patterned, on_one_facet, place_for_world, place_of, position_at, surface_at
 from .escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray, no_gather_rays
@@ -279,7 +279,7 @@ def _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, k
         sr, sg, sb, shadowed = transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, end, kinds, SHADOW, entered, lamp)
     if clear < _0 and shadowed < _0:
         return r, g, b, clear
-    if clear < _0:  # by a lens: `methods.caustics`
+    if clear < _0:  # by a lens or frosted glass: `methods.caustics`
         r = g = b = _0
         clear = _1
     if shadowed < _0:
@@ -294,14 +294,14 @@ def _through(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, end, kinds, k
 
 @leaf
 def passed(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered, cosine):
-    """`passed_straight`, with what a lens throws elsewhere as if it went straight on."""
+    """`passed_straight`, with what a lens or frosted glass throws elsewhere as if it went straight on."""
     r, g, b, clear = passed_straight(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered, cosine, True)
     return r, g, b, max(_0, clear)
 
 
 @leaf
 def passed_straight(scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, end, entered, cosine, aimed):
-    """Share of light (r, g, b) of emitter e that a shadow ray lets through up to t = end, and the share of that which passed no glass, -1 where a lens is in the way.
+    """Share of light (r, g, b) of emitter e that a shadow ray lets through up to t = end, and the share of that which passed no glass, or `BY_LENS`, `BY_FROST`.
 
     entered: solids of glass that the path has entered before.  cosine: at which the ray leaves its surface.  aimed: whether it is a shadow ray, or has
     met the emitter by chance.
@@ -850,7 +850,7 @@ def _add_shining(scene, packet, rows, surface, points, start, size, block, out):
                 _, _, _, straight = transmittance1(
                     scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, _0, _SHORT * t, DIFFUSE, DIFFUSE, np.int64(points.entered[i]), True
                 )  # fmt: skip
-                if straight < _0:  # by a lens: `methods.caustics`
+                if straight < _0:  # by a lens or frosted glass: `methods.caustics`
                     continue
             aimed = aimed_density(emitters, block.number[k], block.unshadowed[k], e, px, py, pz, sx, sy, sz, dx, dy, dz)
             density = _gather_density(points.gathered[i], cosine)
@@ -900,7 +900,7 @@ def _trace(scene, packet, rows, surface, points, start, rays, n):
                         scene, packet, rows, surface, p[0], p[1], p[2], p[3], p[4], p[5], p[6], rays.kinds[j], rays.kind[j], entered,
                         cosine, rays.lamp[j],
                     )  # fmt: skip
-                    if clear < _0:  # a lens throws it elsewhere: `methods.caustics`
+                    if clear == BY_LENS:  # it throws it elsewhere: `methods.caustics`
                         tr = tg = tb = _0
             rays.through[j, 0], rays.through[j, 1], rays.through[j, 2], rays.clear[j] = tr, tg, tb, clear
     return cast
@@ -930,8 +930,8 @@ def _learn(scene, points, start, size, block, rays, n, guide):
 
 
 @leaf
-def _collect(rays, n, start, guide, out, glossy, apart, unshadowed):
-    """Add what the first n rays bring; what passed glass goes to the second half.
+def _collect(points, rays, n, start, guide, out, glossy, apart, unshadowed):
+    """Add what the first n rays bring to the points from `start` on; what passed glass goes to the second half.
 
     unshadowed: (N, 4) float32, what those to columns from `apart` on would bring were nothing in their way, and how many they are; of no rows where nobody asks.
     """
@@ -946,6 +946,10 @@ def _collect(rays, n, start, guide, out, glossy, apart, unshadowed):
         if rays.turn[j] >= 0:
             share, shine_share = guide.share[rays.point[j], rays.turn[j]], guide.shine[rays.point[j], rays.turn[j]]
         clear = rays.clear[j]
+        if clear < _0:  # `BY_FROST`, of which diffuse surfaces and wide lobes have what photons bring: `methods.caustics`
+            share = clear = _0
+            if points.roughness[i] ** 2 > WIDE_ALPHA:
+                shine_share = _0
         for channel in range(3):
             light = share * rays.through[j, channel] * rays.light[j, channel]
             out[i, c + channel] += clear * light
@@ -1043,9 +1047,9 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
                 guide.before[:] = _0
             keep_in_mind(guide, size)
         # Not before the later ones are aimed, which tell what share the first have.
-        _collect(rays, n, start, guide, out, glossy, apart, unshadowed)
+        _collect(points, rays, n, start, guide, out, glossy, apart, unshadowed)
         n_rays += _trace(scene, packet, rows, surface, points, start, later, n_later)
-        _collect(later, n_later, start, guide, out, glossy, apart, unshadowed)
+        _collect(points, later, n_later, start, guide, out, glossy, apart, unshadowed)
         if len(scene.emitters.triangle) > 0:
             _add_shining(scene, packet, rows, surface, points, start, size, block, out)
     return n_rays

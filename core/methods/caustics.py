@@ -31,19 +31,20 @@ from ..references import Reference
 from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import orthonormal_basis
 from ..sampling.sequences import sobol
-from ..scene import ANGLED, DIFFUSE, METAL, POINT, REFRACTIVE, SHADOW, SPOT, SUN, TRANSPARENT, bounds
+from ..scene import ANGLED, DIFFUSE, FROSTED, METAL, POINT, REFRACTIVE, SHADOW, SPOT, SUN, TRANSPARENT, bounds
 from ..surfaces.bending import bent, scattered
 from ..surfaces.brushed import ROUGHEST
+from ..surfaces.frosted import joined_alpha, rest_alpha
 from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSLUCENCY, TRANSPARENCY, passing_chance
 from ..surfaces.layout import DIFFUSE as SURFACE_DIFFUSE
-from ..surfaces.lobes import ALPHA, LOBE, lobe_value
+from ..surfaces.lobes import ALPHA, LOBE, WIDE_ALPHA, lobe_value
 from ..surfaces.microfacet import SMALLEST_ALPHA
 from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import new_registers
-from ..surfaces.visibility import OUTSIDE, STRAIGHT_ON, bends_most, evaluate_along, is_lens, is_sheet, passed_glass
+from ..surfaces.visibility import OUTSIDE, STRAIGHT_ON, bends_most, evaluate_along, is_lens, is_sheet, passed_glass, scatters
 from ..threads import Progress, run_chunks
 from ..transport import Transport
-from .wide_lobes import WIDE_ALPHA, by_photons, is_wide
+from .wide_lobes import by_photons, is_wide
 
 CHUNK = 4096  # particles a chunk
 GLANCE, PILOT = 1 << 14, 1 << 16  # particles that tell whether any meet a lens or a lobe, and where
@@ -59,6 +60,8 @@ MOST_BESIDE = 16  # times as many, at most
 MANY_POINTS, FEWEST_BESIDE = 1 << 17, 0.25
 MOST_FLOWN, MOST_BY_LOBES = 1 << 20, 1 << 20  # particles; virtual lights could stand for what lobes throw as well
 NEAREST = 48  # photons among which the light of one is spread that lenses have bent
+# Of how far frosted glass has spread light, by which a photon of it is spread itself, and how much wider than others that makes its disk at most.
+PART_BLURRED, MOST_BLURRED = 0.5, 4.0
 FEWEST_NEAREST, PART_NEAREST, MOST_NEAREST = 64, 1 / 256, 256  # the same of what lobes reflect, which is less sharp
 WORTHWHILE = 0.02  # share of the view's light that lobes throw, weighed by how far virtual lights blur them
 # Share of the view's light from which on all photons are traced, however wide the lobes (close by, the clamp leaves virtual lights' part to rays that know
@@ -99,7 +102,7 @@ class Photons(NamedTuple):
     side to which it reflects; 0 without one.  flux: (P, 3) float32, W.  side: (P,) float32, 1 where the normal is their triangle's own, else -1.
     group: (P,) int32, their lamps' light groups.  metal: (P,) uint8, whether metal reflected them.  narrow: (P,) float32, by how much narrower it is
     than virtual lights can tell, by `particles.BLUR`: 0 to 1.  followed: (P,) uint8, whether rays that meet the lobe follow it.
-    lobes: (P,) uint8, how many lobes have reflected it, one after the other.
+    lobes: (P,) uint8, how many lobes have reflected it, one after the other.  blur: (P,) float32, how far frosted glass has spread the light of which it is a part (m).
     """
 
     position: np.ndarray
@@ -114,6 +117,7 @@ class Photons(NamedTuple):
     narrow: np.ndarray
     followed: np.ndarray
     lobes: np.ndarray
+    blur: np.ndarray
 
     @staticmethod
     def allocate(n: int) -> Photons:
@@ -125,6 +129,7 @@ class Photons(NamedTuple):
             np.empty(n, np.uint8),
             np.empty(n, np.float32),
             *(np.empty(n, np.uint8) for _ in range(2)),
+            np.empty(n, np.float32),
         )
 
     def take(self, index) -> Photons:
@@ -161,6 +166,9 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
     lobe = np.zeros(LOBE, np.float32)
     owed, back = np.empty(NESTED, np.float32), np.empty(6, np.float32)
     emitters = scene.emitters
+    any_frosted = False
+    for material in range(len(scene.materials.flags)):
+        any_frosted |= scene.materials.flags[material] & FROSTED != 0
     n = rays = 0
     for i in range(begin, end):
         e, ox, oy, oz, dx, dy, dz, r, g, b, near, far, before = emit(
@@ -172,7 +180,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
         sizeless = ((kind == POINT or kind == SPOT) and not emitters.lamps[e, RADIUS] > _0) or (
             kind == SUN and not emitters.lamps[e, ONE_MINUS_COS] > _0
         )
-        if sizeless and not lobes:
+        if sizeless and not lobes and not any_frosted:
             continue
         hides = emitters.shadow_kinds[e]
         kinds = DIFFUSE | hides
@@ -183,6 +191,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
         x = y = z = qx = qy = qz = fx = fy = fz = flown = _0
         glasses = sheets = fronts = 0  # sheets: of them, that bend it; fronts: whose backs it has not met
         entered = OUTSIDE
+        frosted, frost = False, _0
         for layer in range(_SURFACES):
             rays += 1
             triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, dx, dy, dz, _0, np.float32(np.inf), kinds)
@@ -247,8 +256,23 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                         break
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
                     continue
+            if (
+                not passes and frosted and not thrown and flags & REFRACTIVE and behind
+            ):  # back into the frosted glass, which it leaves on its other side, or later
+                nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+                nx, ny, nz = mapped_normal(scene.materials, scene.material[triangle], surface, nx, ny, nz)
+                dx, dy, dz, kr, kg, kb = reflected(
+                    surface, lobe, -nx, -ny, -nz, -gx, -gy, -gz, dx, dy, dz, uniform(seed, i, layer, 21), uniform(seed, i, layer, 22)
+                )
+                r, g, b = kr * r, kg * g, kb * b
+                if not max(r, g, b) > _0:
+                    break
+                ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
+                continue
             if not passes:
                 bends = glasses > 0 and (is_lens(glasses, x, y, z, ax, ay, az) or (kind != WORLD and not lobes and is_sheet(sheets)))
+                if not lobes and kind != WORLD:
+                    bends = frosted or (bends and not sizeless)
                 # What is within a solid is lit by straight rays.
                 if not receives or (flags & REFRACTIVE and (thrown or not lobes)) or (not thrown and flown < before + near):
                     break
@@ -270,6 +294,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     photons.flux[n, 0], photons.flux[n, 1], photons.flux[n, 2] = r, g, b
                     photons.side[n], photons.group[n] = side, emitters.light_group[e]
                     photons.metal[n], photons.narrow[n], photons.followed[n], photons.lobes[n] = metal, narrow, followed, met
+                    away = np.float32(math.sqrt((px - qx) ** 2 + (py - qy) ** 2 + (pz - qz) ** 2))
+                    photons.blur[n] = _0 if thrown else _2 * frost * away
                     n += 1
                 if not lobes or met == MOST_LOBES:
                     break
@@ -320,6 +346,10 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 sheets += bends_most(surface)
                 front = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
                 ix, iy, iz = dx, dy, dz
+                frosted |= scatters(surface)
+                joined = joined_alpha(frost, surface[FROST])
+                surface[FROST] = rest_alpha(frost, joined)
+                frost = max(frost, joined)
                 if abs(eta - _1) > STRAIGHT_ON and not reverse:  # what leaves such a solid goes straight on, as its reverse is seen
                     turns, ox, oy, oz, dx, dy, dz = bent(scene.materials, scene, material, triangle, u, v, dx, dy, dz, surface)
                 if not turns:
@@ -336,6 +366,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                         owes = (lens[TRANSPARENCY] + lens[TRANSPARENCY + 1] + lens[TRANSPARENCY + 2]) / front
                     owed[min(fronts, NESTED - 1)] = owes
                     fronts += 1
+                if turns and not behind:  # within, it is narrower
+                    surface[FROST] /= eta
                 if surface[FROST] > SMALLEST_ALPHA:  # about the way that clear glass would send it
                     ox, oy, oz, dx, dy, dz, w = scattered(
                         scene.materials, scene, material, triangle, u, v, dx, dy, dz,
@@ -520,7 +552,8 @@ def arranged(photons: Photons, nearest: int, threads: int = 0, *, tested: bool =
     By the nearest photons of each point instead, dark surroundings would shine.
     """
     radius = _reach(photons.position, nearest, threads)
-    radius = np.clip(radius, 1e-9, SPARSE * np.median(radius)).astype(np.float32)
+    radius = np.clip(radius, 1e-9, SPARSE * np.median(radius))
+    radius = np.maximum(radius, np.minimum(PART_BLURRED * photons.blur, MOST_BLURRED * radius)).astype(np.float32)
     finest = radius.min()
     level = np.ceil(np.log2(radius / finest) - 1e-3).astype(np.int64)
     kinds, level = np.unique(level, return_inverse=True)
@@ -689,7 +722,7 @@ def _light(scene, caustics, points, lit, begin, end, seed, tested, every, near, 
     """Adds the irradiance by photons, each evenly bright but for Epanechnikov's kernel of its radius, to the rows lit[begin..end-1] of `out`.
 
     tested: whether it is seen from there where they come from, as one of them by chance tells.  every: by so-manyth of those around alone.
-    shown: (N, 3 G) W/m^2/sr, what wide lobes reflect of it is added there, but for what comes from nearer than `near` (m)
+    shown: (N, 3 G) W/m^2/sr, what wide lobes reflect of it is added there (of what clear glass bends nothing), but for what comes from nearer than `near` (m)
     or than their blur of a cell of the cache, of a `size` (m): their own rays find that.  No rows for none.
     """
     slots = len(caustics.start) - 1
@@ -748,7 +781,7 @@ def _light(scene, caustics, points, lit, begin, end, seed, tested, every, near, 
                     found[n, c] += r
                     found[n, c + 1] += g
                     found[n, c + 2] += b
-                    if wide:
+                    if wide and (photons.lobes[p] > 0 or photons.blur[p] > _0):
                         ex, ey, ez = photons.entry[p, 0] - x, photons.entry[p, 1] - y, photons.entry[p, 2] - z
                         if ex * ex + ey * ey + ez * ez > least * least:
                             lr, lg, lb, _ = lobe_value(lobe, -dx, -dy, -dz)

@@ -60,7 +60,7 @@ from ..surfaces.layout import (
 from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, goes_past, is_behind, lobe_cosine, reflection_count, sample_above
 from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import evaluate, from_within, new_registers, specular_view
-from ..surfaces.visibility import OUTSIDE
+from ..surfaces.visibility import BY_FROST, BY_LENS, OUTSIDE
 from ..threads import Cancelled, Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
@@ -140,11 +140,12 @@ def _radiance_along(emitters, e, rows, surface, x, y, z, dx, dy, dz, t):
 @leaf
 def _lamps_along(
     scene, packet, rows, surface, on, expected, estimate, drawn, turned, bends, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, entered,
-    wr, wg, wb, shown, by_glass, i,
+    blurred, wr, wg, wb, shown, by_glass, i,
 ):  # fmt: skip
     """Adds the radiance of the lamps along d, weighed by w and the share of rays drawn with the density `drawn`, to row i of `shown`, or of
     `by_glass`, of a point of the triangle `on`.  Lamps hide nothing, neither each other nor what lies behind them.  turned: whether sharp ones have `highlights` there.
-    What a lens lets through is left to `_lamps_beyond` where glass `bends` the ray; shadow rays have none of it.
+    What a lens lets through is left to `_lamps_beyond` where glass `bends` the ray; shadow rays have none of it.  What frosted glass scatters is left to photons where
+    the lobe is so wide that these light it (`blurred`); narrower ones see it straight through.
     """
     emitters = scene.emitters
     for e in range(len(emitters.source)):
@@ -159,11 +160,14 @@ def _lamps_along(
             tr, tg, tb, clear = passed_straight(
                 scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, t * _SHORT, entered, max(_0, sx * dx + sy * dy + sz * dz), False
             )
-        if clear < _0:
+        if clear == BY_LENS:
             if bends:
                 continue
             clear = _0
+        elif clear == BY_FROST and blurred:
+            continue
         else:
+            clear = max(_0, clear)
             w *= share_of(drawn, aimed_density(emitters, expected, estimate, e, x, y, z, sx, sy, sz, dx, dy, dz))
         r, g, b = _radiance_along(emitters, e, rows, surface, x, y, z, dx, dy, dz, t)
         _add_shining(shown, by_glass, i, 3 * emitters.light_group[e], clear, wr * w * tr * r, wg * w * tg * g, wb * w * tb * b)
@@ -252,7 +256,7 @@ def _reflect_chunk(
             if lit[i] == SHARED and not aside:
                 _lamps_along(
                     scene, packet, rows, surface, points.triangle[i], expected, estimate, drawn, turned, not wide, x, y, z, error, gx, gy, gz,
-                    sx, sy, sz, dx, dy, dz, entered, wr, wg, wb, shown, known, i,
+                    sx, sy, sz, dx, dy, dz, entered, is_wide(lobe), wr, wg, wb, shown, known, i,
                 )  # fmt: skip
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
             # What wide lobes find straight rays find, too: both must go the same way.

@@ -48,7 +48,7 @@ from ..scene import DIFFUSE, EMISSIVE, METAL, TRANSPARENT
 from ..surfaces.by_view import at_view, views
 from ..surfaces.following import lobe_chances
 from ..surfaces.layout import ROUGHNESS, SURFACE, take_lobe
-from ..surfaces.lobes import ALPHA, LOBE, lobe_value, reflection_count
+from ..surfaces.lobes import ALPHA, LOBE, WIDE_ALPHA, lobe_value, reflection_count
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.sheen import factors
@@ -67,7 +67,7 @@ from .probes import Tracer, trace_farther, trace_probes
 from .sparks import spread_sparks, spread_thrown
 from .tails import path_light
 from .thrown import redirected, shine_share, throwing
-from .wide_lobes import WIDE_ALPHA, SharedRays, bound, drawn_share, gather_density, is_mirror, is_wide, known_light, wide_part
+from .wide_lobes import SharedRays, bound, drawn_share, gather_density, is_mirror, is_wide, known_light, wide_part
 
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at

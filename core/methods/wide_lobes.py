@@ -18,10 +18,9 @@ import numpy as np
 
 from ..jit import inlined
 from ..scene import BRUSHED, DIFFUSE, GLOSSY
-from ..surfaces.lobes import ALBEDO, ALPHA, NEGLIGIBLE
+from ..surfaces.lobes import ALBEDO, ALPHA, NEGLIGIBLE, WIDE_ALPHA
 from ..view.points import ShadingPoints
 
-WIDE_ALPHA = np.float32(0.1)  # of narrower lobes the other rays find next to nothing
 NARROW = np.float32(0.35)  # roughness of what shows more than a cell of the cache could tell
 MOST = np.float32(3.0)  # times a lobe's albedo, as a diffuse one: brighter directions are left to its own rays in part
 # The same where photons bring the light: seen at a low angle even a wide lobe mirrors, and hundreds of times as bright.

@@ -37,9 +37,11 @@ from .layout import (
     ROUGHNESS,
     SHEEN,
     SHEEN_ROUGHNESS,
+    STRAY,
     TRANSLUCENCY,
     TRANSPARENCY,
 )
+from .rough_glass import MULTIPLE, REFRACTING, more_by_pane, passed_from_within
 
 F = np.float32
 
@@ -209,6 +211,7 @@ def _through(surface, r, g, b, roughness, ior, thin, wr, wg, wb, cosine):
     add(surface, REFRACTION, wr, wg, wb, r, g, b)
     passed = wr * max(r, F(0)) + wg * max(g, F(0)) + wb * max(b, F(0))
     surface[BEND] += passed * (F(1) if thin else ior)
+    surface[STRAY] += passed * roughness * roughness
     if roughness > F(0):
         alpha = frosted.thin_alpha(roughness, ior) if thin else frosted.lobe_alpha(roughness, ior, view_cosine(cosine))
         surface[FROST] += passed * alpha
@@ -220,29 +223,17 @@ def refraction(surface, r, g, b, roughness, ior, wr, wg, wb, cosine):
 
     cosine: see `program.evaluate`.
     """
-    if cosine <= -WITHIN and dielectric_fresnel(cosine, ior) >= F(1):
+    roughness = min(max(roughness, F(0)), F(1))
+    through = F(1)
+    if cosine < F(0) and ior > F(1):
+        f0, c = f0_of_ior(ior), view_cosine(cosine)
+        if cosine <= -WITHIN:
+            through = passed_from_within(REFRACTING, ior, np.sqrt(np.sqrt(f0)), c, roughness)
+        else:
+            through = _passed_by_back(REFRACTING, f0, roughness, c, F(0), F(1))
+    elif cosine <= -WITHIN and dielectric_fresnel(cosine, ior) >= F(1):
         return
-    _through(surface, r, g, b, min(max(roughness, F(0)), F(1)), ior, False, wr, wg, wb, cosine)
-
-
-@leaf
-def _reflectance_within(ior, roughness, cosine):
-    """What glass reflects (0..1) of light that comes from within it at `cosine` (0..1): all beyond the critical angle.
-
-    The mean of the Fresnel term over visible GGX normals; those that lean across the plane of incidence count as if they did not.
-    """
-    alpha = roughness * roughness
-    if alpha < F(1e-3):
-        return dielectric_fresnel(-cosine, ior)
-    sine = np.sqrt(max(F(1) - cosine * cosine, F(0)))
-    reflected = seen = F(0)
-    for k in range(8):
-        x = F(0.25) * (F(k) + F(0.5)) - F(1)
-        slope = alpha * x / np.sqrt(F(1) - x * x)
-        weight = max(cosine + slope * sine, F(0))
-        reflected += weight * dielectric_fresnel(-min(weight / np.sqrt(F(1) + slope * slope), F(1)), ior)
-        seen += weight
-    return reflected / seen
+    _through(surface, r, g, b, roughness, ior, False, wr * through, wg * through, wb * through, cosine)
 
 
 @inlined
@@ -255,15 +246,16 @@ def _dielectric_albedo(f0, roughness, cosine):
 
 
 @leaf
-def _kept_by_back(f0, ior, roughness, cosine, smooth):
-    """What the back of a pane keeps (0..1) of light that goes straight on to `cosine` (0..1) outside, where one side alone, `smooth`, reflects so much.
+def _passed_by_back(kind, f0, roughness, cosine, smooth, front):
+    """What the back of a pane lets through (0..1) of light that goes straight on to `cosine` (0..1) outside, of which the front has let `front` in.
 
-    Of what it reflects, both sides of the pane let as much through in the end: m / (1 + m) leaves by the front.  So does what it reflects
-    totally where it is rough.
+    smooth: what a smooth side reflects of it.  Of what one side of the pane reflects, both let as much through in the end: of smooth ones (1 - R) / (1 + R)
+    comes through, or where they only refract all.
     """
-    within = np.sqrt(F(1) - (F(1) - cosine * cosine) / (ior * ior))
-    more = ggx.more_within(np.sqrt(np.sqrt(f0)), within, roughness)
-    return min(smooth / (F(1) + smooth) + more / (F(1) + more), F(1))
+    pane = F(1) if kind == REFRACTING else (F(1) - smooth) / (F(1) + smooth)
+    if roughness > F(0):
+        pane += more_by_pane(kind, np.sqrt(np.sqrt(f0)), cosine, roughness)
+    return min(max(pane, F(0)) / max(front, F(1e-3)), F(1))
 
 
 @leaf
@@ -280,10 +272,10 @@ def _through_wall(color, reflected, ior, cosine):
 
 
 @inlined
-def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine):
+def glass(surface, r, g, b, roughness, ior, thin, kind, tr, tg, tb, wr, wg, wb, cosine):
     """Glass: reflects its Fresnel term times (tr, tg, tb), lets the rest times (r, g, b) through, about the straight way.
 
-    cosine: see `program.evaluate`.  Its back reflects what its front does, for a view that entered by the front was not bent there; one
+    kind: of `rough_glass`.  cosine: see `program.evaluate`.  Its back reflects what its front does, for a view that entered by the front was not bent there; one
     that began within may be reflected totally, unless the glass is a thin wall.
     """
     roughness = min(max(roughness, F(0)), F(1))
@@ -291,15 +283,20 @@ def glass(surface, r, g, b, roughness, ior, thin, tr, tg, tb, wr, wg, wb, cosine
     f0, f90 = f0_of_ior(ior), F(1)
     through = F(1)
     if cosine <= -WITHIN and ior > F(1) and not thin:
-        f0 = f90 = _reflectance_within(ior, roughness, view_cosine(cosine))
-        through -= f0
+        z, c = np.sqrt(np.sqrt(f0)), view_cosine(cosine)
+        through = passed_from_within(kind, ior, z, c, roughness)
+        # Light scattered once loses what the other kind lets out in place of it.
+        f0 = f90 = F(1) - (through if kind == MULTIPLE else passed_from_within(MULTIPLE, ior, z, c, roughness))
     elif ior != F(1):
         kept = _dielectric_albedo(f0, roughness, cosine)
-        if cosine < F(0) and ior > F(1) and not thin:
-            smooth = kept
-            kept = _kept_by_back(f0, ior, roughness, view_cosine(cosine), smooth)
-            f0 = f90 = min(kept / max(F(1) - smooth, F(1e-3)), F(1))  # the front takes its part of that, once more
         through -= kept
+        if cosine < F(0) and ior > F(1) and not thin:
+            front, smooth = through, _dielectric_albedo(f0, F(0), cosine)
+            through = _passed_by_back(kind, f0, roughness, view_cosine(cosine), smooth, front)
+            reflected = F(1) - (
+                through if kind == MULTIPLE else _passed_by_back(MULTIPLE, f0, roughness, view_cosine(cosine), smooth, front)
+            )
+            f0 = f90 = min(reflected / max(front, F(1e-3)), F(1))  # the front takes its part of that, once more
         if thin:
             c = view_cosine(cosine)
             r, cr = _through_wall(r, kept, ior, c)
@@ -428,6 +425,7 @@ def finish(surface):
     if refracted > F(0):
         surface[FROST] /= refracted
         surface[BEND] /= refracted
+        surface[STRAY] /= refracted
     glossy_weight = F(0)
     for k in range(6):
         glossy_weight += surface[GLOSSY_F0 + k]

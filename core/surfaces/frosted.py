@@ -47,6 +47,12 @@ def joined_alpha(first, second):
 
 
 @inlined
+def rest_alpha(first, joined):
+    """Width (0..1) of what is left to blur where so much of what surfaces in a row do, `joined`, the first ones have done."""
+    return max(joined**_POWER - first**_POWER, F(0)) ** (F(1) / _POWER)
+
+
+@inlined
 def seen_through(nx, ny, nz, ox, oy, oz):
     """The direction, on the other side, of a viewer to whom a mirror shows what the viewer at o sees straight through a surface of normal n."""
     twice = F(2) * (nx * ox + ny * oy + nz * oz)

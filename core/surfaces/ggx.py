@@ -34,17 +34,21 @@ def ior_coordinate(ior: float) -> float:
     return float(np.sqrt(abs((ior - 1.0) / (ior + 1.0))))
 
 
-def _visible_normals(roughness: np.ndarray, mu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Quadrature over the visible normals h of views with cosine `mu`: (h . view, outgoing cosine), for `_mean`.
+def visible_normals(
+    roughness: np.ndarray, mu: np.ndarray, radii: int = _RADII, angles: int = _ANGLES
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Quadrature over the visible normals h of views with cosine `mu`: (h . view, the cosine of h, weight).
 
-    The arguments broadcast together, the quadrature points are the last axis.  Radii crowd at the disk's rim, which
-    holds the long tails of narrow lobes.
+    The arguments broadcast together, the `radii` x `angles` quadrature points are the last axis, along which the weights add up to 1.  Radii crowd at
+    the disk's rim, which holds the long tails of narrow lobes.
     """
     alpha = np.square(roughness)[..., None]
     mu = mu[..., None]
     sine = np.sqrt(1 - mu * mu)
-    radius = np.sqrt(1 - np.square(_inner()))[:, None]
-    angle = (np.arange(_ANGLES) + 0.5) * (np.pi / _ANGLES)
+    inner = 1 - (np.arange(radii) + 0.5) / radii  # sqrt(1 - radius^2)
+    weight = np.repeat(inner, angles)
+    radius = np.sqrt(1 - np.square(inner))[:, None]
+    angle = (np.arange(angles) + 0.5) * (np.pi / angles)
     x, y = (radius * np.sin(angle)).ravel(), (radius * np.cos(angle)).ravel()
     # Heitz 2018, listing 1, with the view in the plane x = 0 so that the disk's x is the symmetric axis.
     stretched = np.sqrt(np.square(alpha * sine) + mu * mu)
@@ -55,18 +59,18 @@ def _visible_normals(roughness: np.ndarray, mu: np.ndarray) -> tuple[np.ndarray,
     hx, hy, hz = alpha * x, alpha * (z * vy - y * vz), np.maximum(0, y * vy + z * vz)
     norm = 1 / np.sqrt(hx * hx + hy * hy + hz * hz)
     hy, hz = hy * norm, hz * norm
-    cos_h = hy * sine + hz * mu
-    return cos_h, 2 * cos_h * hz - mu
+    return hy * sine + hz * mu, hz, weight / weight.sum()
 
 
-def _inner() -> np.ndarray:
-    """(_RADII,) sqrt(1 - radius^2) of the quadrature; its weights are proportional to it."""
-    return 1 - (np.arange(_RADII) + 0.5) / _RADII
+def _mirrored(roughness: np.ndarray, mu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(h . view, outgoing cosine) at the visible normals, for `_mean`."""
+    cos_h, h_z, _ = visible_normals(roughness, mu)
+    return cos_h, 2 * cos_h * h_z - mu[..., None]
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
-    """Mean over the quadrature points of `_visible_normals`, the last axis."""
-    weight = np.repeat(_inner(), _ANGLES)
+    """Mean over the quadrature points of `_mirrored`, the last axis."""
+    weight = np.repeat(1 - (np.arange(_RADII) + 0.5) / _RADII, _ANGLES)
     return values @ (weight / weight.sum())
 
 
@@ -82,39 +86,17 @@ def _fresnel_rise(cos_h: np.ndarray, ior: float) -> np.ndarray:
 def _table_s() -> np.ndarray:
     """(16, 16, 16) s over (z, cosine, roughness)."""
     node = np.clip(np.arange(_S, dtype=F) / F(_S - 1), F(1e-4), F(1))
-    cos_h, cos_out = _visible_normals(node[None, :], node[:, None])
+    cos_h, cos_out = _mirrored(node[None, :], node[:, None])
     f0_quarter = np.clip(node, 1e-4, 0.99)
     iors = (1 + f0_quarter**2) / (1 - f0_quarter**2)
     above = cos_out > 0
     return np.stack([_mean(np.where(above, _fresnel_rise(cos_h, n), 0)) for n in iors]).astype(F)
 
 
-def _reflected_within(cos_h: np.ndarray, ior: float) -> np.ndarray:
-    """The dielectric Fresnel term from within: 1 beyond the critical angle."""
-    inverse = 1 / ior
-    root = inverse * inverse - 1 + cos_h * cos_h
-    g = np.sqrt(np.maximum(root, 0))
-    a = (g - cos_h) / (g + cos_h)
-    b = (cos_h * (g + cos_h) - 1) / (cos_h * (g - cos_h) + 1)
-    return np.where(root > 0, np.clip(0.5 * a * a * (1 + b * b), 0, 1), 1)
-
-
-def _table_within() -> np.ndarray:
-    """(16, 16, 16) over (z, cosine, roughness): by how much rough glass reflects more of what comes from within than smooth glass does."""
-    node = np.clip(np.arange(_S, dtype=F) / F(_S - 1), F(1e-4), F(1))
-    cos_h, _ = _visible_normals(node[None, :], node[:, None])
-    f0_quarter = np.clip(node, 1e-4, 0.99)
-    more = []
-    for ior in (1 + f0_quarter**2) / (1 - f0_quarter**2):
-        reflected = _mean(_reflected_within(cos_h, ior))
-        more.append(np.maximum(reflected - _reflected_within(node, ior)[:, None], 0))
-    return np.stack(more).astype(F)
-
-
 def _table_dip() -> np.ndarray:
     """(16, 16) over (cosine, roughness): mean of c (1 - c)^6 over the cosines c of the visible normals with the view."""
     node = np.clip(np.arange(_S, dtype=F) / F(_S - 1), F(1e-4), F(1))
-    cos_h, cos_out = _visible_normals(node[None, :], node[:, None])
+    cos_h, cos_out = _mirrored(node[None, :], node[:, None])
     return _mean(np.where(cos_out > 0, cos_h * (1 - cos_h) ** 6, 0)).astype(F)
 
 
@@ -122,7 +104,7 @@ def _table_e() -> np.ndarray:
     """(32, 32) E over (cosine, roughness): mean of G2 / G1 over the visible normals."""
     node = np.clip(np.arange(_E, dtype=F) / F(_E - 1), F(1e-4), F(1))
     mu = node[:, None]
-    _, cos_out = _visible_normals(node[None, :], mu)
+    _, cos_out = _mirrored(node[None, :], mu)
     alpha2 = (node**4)[None, :]
 
     def smith_lambda(cosine, alpha2):
@@ -160,13 +142,12 @@ def _means(s: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
 
 S_TABLE = _table_s()
 E_TABLE = _table_e()
-WITHIN_TABLE = _table_within()
 DIP_TABLE = _table_dip()
 E_MEAN, S_MEAN, SE_MEAN = _means(S_TABLE, E_TABLE)
 
 
 @inlined
-def _cell(x, size):
+def cell(x, size):
     """Index and fraction of a table coordinate in 0..1."""
     x = min(max(x, F(0)), F(1)) * F(size - 1)
     i = min(np.int32(x), np.int32(size - 2))
@@ -174,7 +155,7 @@ def _cell(x, size):
 
 
 @inlined
-def _lerp2(table, i, t, j, r):
+def lerp2(table, i, t, j, r):
     a = table[i, j] + r * (table[i, j + 1] - table[i, j])
     b = table[i + 1, j] + r * (table[i + 1, j + 1] - table[i + 1, j])
     return a + t * (b - a)
@@ -183,22 +164,11 @@ def _lerp2(table, i, t, j, r):
 @inlined
 def fresnel_rise(z, cosine, roughness):
     """s: how far from f0 to 1 the lobe's Fresnel term is at `cosine`; z as in `ior_coordinate`."""
-    k, c = _cell(z, _S)
-    i, t = _cell(cosine, _S)
-    j, r = _cell(roughness, _S)
-    a = _lerp2(S_TABLE[k], i, t, j, r)
-    b = _lerp2(S_TABLE[k + 1], i, t, j, r)
-    return a + c * (b - a)
-
-
-@inlined
-def more_within(z, cosine, roughness):
-    """Share of light from within a rough surface of glass, at `cosine` in the glass, that it reflects and a smooth one does not."""
-    k, c = _cell(z, _S)
-    i, t = _cell(cosine, _S)
-    j, r = _cell(roughness, _S)
-    a = _lerp2(WITHIN_TABLE[k], i, t, j, r)
-    b = _lerp2(WITHIN_TABLE[k + 1], i, t, j, r)
+    k, c = cell(z, _S)
+    i, t = cell(cosine, _S)
+    j, r = cell(roughness, _S)
+    a = lerp2(S_TABLE[k], i, t, j, r)
+    b = lerp2(S_TABLE[k + 1], i, t, j, r)
     return a + c * (b - a)
 
 
@@ -211,23 +181,23 @@ def edge(f0, rise):
 @inlined
 def edge_dip(cosine, roughness):
     """c (1 - c)^6 as a lobe sees it at `cosine`, c that of its visible normals with the view."""
-    i, t = _cell(cosine, _S)
-    j, r = _cell(roughness, _S)
-    return _lerp2(DIP_TABLE, i, t, j, r)
+    i, t = cell(cosine, _S)
+    j, r = cell(roughness, _S)
+    return lerp2(DIP_TABLE, i, t, j, r)
 
 
 @inlined
 def single_scattering(cosine, roughness):
     """E: albedo of the lobe without Fresnel term at `cosine`."""
-    i, t = _cell(cosine, _E)
-    j, r = _cell(roughness, _E)
-    return _lerp2(E_TABLE, i, t, j, r)
+    i, t = cell(cosine, _E)
+    j, r = cell(roughness, _E)
+    return lerp2(E_TABLE, i, t, j, r)
 
 
 @inlined
 def single_scattering_mean(roughness):
     """Mean of E over the cosine-weighted hemisphere."""
-    j, r = _cell(roughness, _E)
+    j, r = cell(roughness, _E)
     return E_MEAN[j] + r * (E_MEAN[j + 1] - E_MEAN[j])
 
 
@@ -242,10 +212,10 @@ def layer_albedo(f0, z, roughness, multiple, cosine):
 @inlined
 def layer_albedo_mean(f0, z, roughness, multiple):
     """Mean of `layer_albedo` over the cosine-weighted hemisphere."""
-    k, c = _cell(z, _S)
-    j, r = _cell(roughness, _S)
-    s = _lerp2(S_MEAN, k, c, j, r)
-    se = _lerp2(SE_MEAN, k, c, j, r)
+    k, c = cell(z, _S)
+    j, r = cell(roughness, _S)
+    s = lerp2(S_MEAN, k, c, j, r)
+    se = lerp2(SE_MEAN, k, c, j, r)
     e = single_scattering_mean(roughness)
     return f0 * (e + multiple * (F(1) - e)) + (F(1) - f0) * (multiple * s + (F(1) - multiple) * se)
 

@@ -43,7 +43,8 @@ COAT = 44  # rgb: the part of GLOSSY_F90 that is a coat's, whose lobe is apart f
 COAT_F0 = 47  # its reflectance at normal incidence, over that at grazing incidence
 COAT_ROUGHNESS = 48
 BEND = 49  # index of refraction by which REFRACTION leaves, weighted by it; 1 for thin walls, 0 where nothing does
-SURFACE = 50  # length
+STRAY = 50  # square of the roughness of the glass by which REFRACTION leaves, weighted by it: how far from straight, whatever the angle
+SURFACE = 51  # length
 
 COAT_TOP = F(-1)  # the first number of `GLOSS` of a coat's lobe by itself; among others it counts as 1
 # z of an index of refraction of 1.5, whose Fresnel curve stands for all glossy lobes in means

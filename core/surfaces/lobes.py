@@ -24,6 +24,7 @@ NORMAL, VIEWER, COSINE, ALPHA, F0, RISE, IOR, ALBEDO, DIP, LOBE = 0, 3, 6, 7, 8,
 
 # Lobes with less albedo than this cost nothing.
 NEGLIGIBLE = np.float32(1e-4)
+WIDE_ALPHA = np.float32(0.1)  # of narrower lobes the rays of diffuse light, and photons, find next to nothing
 # Density of a mirror's one direction: any other way of finding it counts for nothing.
 MIRROR = np.float32(1e30)
 

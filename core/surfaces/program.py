@@ -20,6 +20,7 @@ from . import bumps, closures, footprint, outlined, textures
 from .colors import luminance
 from .covers import blacken, is_covered
 from .layout import EMISSION, NORMAL, SURFACE, TILT, TRANSPARENCY
+from .rough_glass import MULTIPLE, SINGLE
 
 F = np.float32
 
@@ -58,7 +59,7 @@ VIEWER, LAMP_NORMAL, LAMP_INCOMING, LAMP_PLACE, OWN_ROWS = range(5)
     REFRACTION_CLOSURE,  # colour a, (roughness, ior) b
     GLOSSY_CLOSURE,  # colour a, roughness b.x, p: distribution, see `closures.glossy`
     METAL_CLOSURE,  # colour a, roughness b.x, tint at 82 degrees c, p: multiple scattering
-    GLASS_CLOSURE,  # colour a, (roughness, ior) b, tint of the reflection c, p: a thin wall
+    GLASS_CLOSURE,  # colour a, (roughness, ior) b, tint of the reflection c, p: `THIN_WALL`, `SCATTERED_ONCE`
     DIELECTRIC_CLOSURE,  # base colour a, (roughness, ior, specular level, diffuse roughness) b, tint c, p: multiple scattering
     SHEEN_CLOSURE,  # (weight, roughness) a, tint b, p: a velvet; the result is the weight of what lies below
     COAT_CLOSURE,  # (weight, roughness, ior) a, tint b; the result is the weight of what lies below
@@ -71,6 +72,7 @@ VIEWER, LAMP_NORMAL, LAMP_INCOMING, LAMP_PLACE, OWN_ROWS = range(5)
     # -- a program by itself, of materials that are COVERED --
     COVERED_PARTS,  # material p, but black where one of the coverers from a to b - 1 is (see `covers`)
 ) = range(31)
+THIN_WALL, SCATTERED_ONCE = 1, 2  # p of a GLASS_CLOSURE
 
 
 @kernel
@@ -227,7 +229,9 @@ def _run(tables, at, attributes, triangle, u, v, cosine, rows, surface):
         elif op == METAL_CLOSURE:
             closures.metal(surface, ax, ay, az, bx, p, cx, cy, cz, dx, dy, dz)
         elif op == GLASS_CLOSURE:
-            closures.glass(surface, ax, ay, az, bx, by, p, cx, cy, cz, dx, dy, dz, cosine)
+            closures.glass(
+                surface, ax, ay, az, bx, by, p & THIN_WALL, SINGLE if p & SCATTERED_ONCE else MULTIPLE, cx, cy, cz, dx, dy, dz, cosine
+            )
         elif op == DIELECTRIC_CLOSURE:
             closures.dielectric_over_diffuse(surface, ax, ay, az, bx, by, bz, rows[ib, 3], p, cx, cy, cz, dx, dy, dz)
         elif op == SHEEN_CLOSURE:

@@ -19,12 +19,16 @@ from ..rays.packet import DIR_X, DIR_Y, DIR_Z, OCCLUDED, ORG_X, ORG_Y, ORG_Z, T_
 from ..rays.trace import ALL, COHERENT, CUTOUT, OPAQUE, intersect1, occluded_packet
 from ..sampling.hashing import uniform
 from ..scene import ANGLED, DIFFUSE, GLOSSY, REFRACTIVE, TRANSPARENT
-from .layout import BEND, FROST, REFRACTION, TRANSPARENCY, as_if_whole, passing_chance
+from .layout import BEND, FROST, REFRACTION, STRAY, TRANSPARENCY, as_if_whole, passing_chance
 from .normals import sees_back, shading_normal
 from .program import MEAN_VIEW, evaluate, from_within, reflected_view, specular_view
 
 STRAIGHT_ON = np.float32(1e-3)  # distance of an index of refraction from 1 up to which glass bends nothing
 _BENDING = 0.2  # of the sum of normals across a ray: a tenth of a radian in glass
+# Roughness from which on glass scatters the light of lamps: a pane of a roughness of .2 by about two degrees.
+_SCATTERING = 0.2
+# Instead of the share of light that passed no glass: a lens throws it elsewhere, or frosted glass scatters it, of which lobes know nothing.
+BY_LENS, BY_FROST = np.float32(-1.0), np.float32(-2.0)
 MAX_PASSED = 128  # transparent surfaces on one segment; what lies behind more counts as dark
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -109,6 +113,14 @@ def bends_most(surface):
 
 
 @inlined
+def scatters(surface):
+    """Whether most of what a surface lets through is scattered by frosted glass so far that what a lamp sends there casts no shadows as if it went straight."""
+    refracted = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
+    through = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
+    return refracted > np.float32(0.5) * through and surface[STRAY] >= np.float32(_SCATTERING * _SCATTERING)
+
+
+@inlined
 def begins_in(surface, behind, begun):
     """Whether a way that began within so many solids (`begun`) leaves one by its frosted side: a pane whose front the camera has passed shows in its
     lobe what lies beyond its back, and is no sheet to that.
@@ -128,7 +140,8 @@ def is_sheet(bends):
 
 @leaf
 def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near, t_far, kinds, kind, entered, lamp):
-    """Transmittance (r, g, b) of the transparent triangles along one segment, and the share of it that passed no glass: -1 where a lens is in the way.
+    """Transmittance (r, g, b) of the transparent triangles along one segment, and the share of it that passed no glass: `BY_LENS` where a lens is in the
+    way, `BY_FROST` where frosted glass is that scatters a lamp's light.
 
     For segments that the OPAQUE set does not block.  packet, rows, surface: scratch (`new_packet`,
     `new_registers`, (SURFACE,) float32); the packet's lanes stay as they are.  The segment begins where the light arrives.
@@ -140,13 +153,16 @@ def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near,
     glasses = bends = fronts = 0
     begun = entered
     owed = _1
+    frosted = False
     start = t_near
     for _ in range(MAX_PASSED):
         triangle, t, u, v = intersect1(scene.rays, CUTOUT, packet, ox, oy, oz, dx, dy, dz, start, t_far, kinds)
         if triangle < 0:
             if lamp and is_sheet(bends):
-                return owed * r, owed * g, owed * b, -_1
-            return r, g, b, -_1 if is_lens(glasses, x, y, z, dx, dy, dz) else clear
+                return owed * r, owed * g, owed * b, BY_LENS
+            if is_lens(glasses, x, y, z, dx, dy, dz):
+                return r, g, b, BY_LENS
+            return r, g, b, BY_FROST if frosted else clear
         nx, ny, nz, behind = _evaluate_along(scene, triangle, u, v, dx, dy, dz, kind, entered, rows, surface)
         out = lamp and behind and entered == 0
         if out:  # as its front lets the lamp's light in
@@ -161,7 +177,9 @@ def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near,
         if refracted > _0:
             clear *= max(_0, _1 - refracted)
             glasses += 1
-            if lamp and fronts == 0 and begins_in(surface, behind, begun):
+            own = lamp and fronts == 0 and begins_in(surface, behind, begun)
+            frosted |= lamp and not own and scatters(surface)
+            if own:
                 begun -= 1
             elif lamp and bends_most(surface):
                 bends += 1

@@ -33,7 +33,7 @@ def plane(normal=(0.0, 0.0, 1.0)):
 def spot(n, width, height=0.0):
     """Photons of 1 W in all that fall straight down, with a normal distribution."""
     photons = Photons.allocate(n)
-    photons.facing[:], photons.followed[:] = 0, 0
+    photons.facing[:], photons.followed[:], photons.lobes[:], photons.blur[:] = 0, 0, 1, 0
     photons.position[:, :2] = np.random.default_rng(1).normal(0, width, (n, 2))
     photons.position[:, 2] = height
     photons.normal[:], photons.direction[:], photons.flux[:], photons.side[:], photons.group[:] = (0, 0, 1), (0, 0, -1), 1 / n, 1, 0
@@ -83,6 +83,37 @@ def test_all_light_arrives_and_stays_near_where_it_fell(lit, n):
     np.testing.assert_array_equal(found[r2 > 1.8**2], 0)
     middle = found[r2 < 0.15**2, 0].mean()
     assert middle == pytest.approx((1 - np.exp(-0.125)) / (np.pi * 0.15**2), rel=0.15)
+
+
+def test_what_frosted_glass_has_spread_is_spread_itself():
+    """By half of what the glass has spread it, four times as far as others at most: its noise is gone where there is nothing sharp to be lost."""
+    photons = spot(4000, 0.3)
+    sharp = np.sort(arranged(photons, NEAREST).radius)
+    photons.blur[:] = 1e-3
+    np.testing.assert_array_equal(np.sort(arranged(photons, NEAREST).radius), sharp)
+    photons.blur[:] = 4 * np.median(sharp)
+    found = arranged(photons, NEAREST).radius
+    assert found.min() == pytest.approx(float(min(2 * np.median(sharp), 4 * sharp.min())), rel=1e-5)
+    photons.blur[:] = 1e3
+    np.testing.assert_allclose(np.sort(arranged(photons, NEAREST).radius), 4 * sharp, rtol=1e-5)
+
+
+def test_wide_lobes_show_what_lobes_throw_and_frosted_glass_scatters_but_not_what_clear_glass_bends(build):
+    """Their own rays find that."""
+    points, photons = plane(), spot(1500, 0.3)
+    points.wo[:] = 0, 0, 1
+    points.f0[:] = points.f90[:] = 0.2
+    points.roughness[:] = 0.6
+    shines = {}
+    with ExitStack() as stack:
+        scene = tables_of(build, stack, square(build, 1.0, height=-99.0))
+        for name, lobes, blur in (("bent", 0, 0), ("scattered", 0, 1e-4), ("thrown", 1, 0)):
+            photons.lobes[:], photons.blur[:] = lobes, blur
+            out, shown = np.zeros((2, len(points.pixel), 3), np.float32)
+            add_caustics(scene, arranged(photons, NEAREST), points, 1, 2, out, shown)
+            shines[name] = shown.sum()
+    assert shines["bent"] == 0
+    assert shines["scattered"] == pytest.approx(float(shines["thrown"]), rel=1e-4) and shines["thrown"] > 0
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (1.0, 0.0, 0.0)])

@@ -100,7 +100,9 @@ def principled(node: NodeInput, weight: Value) -> None:
     if not _is(transmission, 0):
         through = node.clamp(base) if thin else node.math_rgb("SQRT", node.clamp(base))  # of both sides, or one
         share = node.multiply(weight, transmission)
-        node.emit(ops.GLASS_CLOSURE, through, node.pack(roughness, ior), tint, share, p=int(thin))
+        node.emit(
+            ops.GLASS_CLOSURE, through, node.pack(roughness, ior), tint, share, p=ops.THIN_WALL * thin | ops.SCATTERED_ONCE * (1 - multiple)
+        )
         weight = node.multiply(weight, node.complement(transmission))
         _warn_straight(node, "transmission")
     subsurface = node.clamp(node["Subsurface Weight"])
@@ -204,7 +206,9 @@ def glass(node: NodeInput, weight: Value) -> None:
     _warn_straight(node, "glass")
     _warn_film(node)
     color = node["Color"]
-    node.emit(ops.GLASS_CLOSURE, color, node.pack(node["Roughness"], node["IOR"]), color, weight)
+    node.emit(
+        ops.GLASS_CLOSURE, color, node.pack(node["Roughness"], node["IOR"]), color, weight, p=ops.SCATTERED_ONCE * (1 - _multiple(node))
+    )
 
 
 @closure("ShaderNodeBsdfRefraction")
