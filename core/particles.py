@@ -68,7 +68,7 @@ from .surfaces.lobes import ALBEDO, ALPHA, LOBE, NORMAL, VIEWER, lobe_value, sam
 from .surfaces.normals import mapped_normal, shading_normal, surface_side
 from .surfaces.program import new_registers
 from .surfaces.sheen import lit_from
-from .surfaces.visibility import OUTSIDE, bends_most, evaluate_along, evaluate_from, passed_glass, scatters
+from .surfaces.visibility import OUTSIDE, SCATTERING, bends_most, evaluate_along, evaluate_from, passed_glass, stray
 from .threads import Progress, run_chunks
 from .transport import Transport
 
@@ -445,7 +445,7 @@ def _trace_particles(scene, begin, end, survivors, least, sharpest, bounces, see
                                     scattered[lane] = uniform(seed, i, bounce, 16 + 2 * _MAX_PASSED + passed) * whole < bent
                                 squared = surface[BEND] * surface[BEND]
                                 bending = bends_most(surface)
-                                if bounce == 0 and by_lamp and scatters(surface):
+                                if bounce == 0 and by_lamp and stray(surface) >= SCATTERING:
                                     spread = True
                                     joined = joined_alpha(frost[lane], surface[FROST])
                                     surface[FROST] = rest_alpha(frost[lane], joined)

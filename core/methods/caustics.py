@@ -41,7 +41,7 @@ from ..surfaces.lobes import ALPHA, LOBE, WIDE_ALPHA, lobe_value
 from ..surfaces.microfacet import SMALLEST_ALPHA
 from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import new_registers
-from ..surfaces.visibility import OUTSIDE, STRAIGHT_ON, bends_most, evaluate_along, is_lens, is_sheet, passed_glass, scatters
+from ..surfaces.visibility import OUTSIDE, SCATTERING, STRAIGHT_ON, bends_most, evaluate_along, is_lens, is_sheet, passed_glass, stray
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from .wide_lobes import by_photons, is_wide
@@ -191,7 +191,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
         x = y = z = qx = qy = qz = fx = fy = fz = flown = _0
         glasses = sheets = fronts = 0  # sheets: of them, that bend it; fronts: whose backs it has not met
         entered = OUTSIDE
-        frosted, frost = False, _0
+        frost = strayed = _0  # strayed: by frosted glass, of its distance from the lamp (m)
         for layer in range(_SURFACES):
             rays += 1
             triangle, t, u, v = intersect1(scene.rays, ALL, packet, ox, oy, oz, dx, dy, dz, _0, np.float32(np.inf), kinds)
@@ -257,7 +257,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     ox, oy, oz = offset_origin(px, py, pz, gx, gy, gz, error, dx, dy, dz)
                     continue
             if (
-                not passes and frosted and not thrown and flags & REFRACTIVE and behind
+                not passes and strayed > _0 and not thrown and flags & REFRACTIVE and behind
             ):  # back into the frosted glass, which it leaves on its other side, or later
                 nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
                 nx, ny, nz = mapped_normal(scene.materials, scene.material[triangle], surface, nx, ny, nz)
@@ -272,7 +272,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
             if not passes:
                 bends = glasses > 0 and (is_lens(glasses, x, y, z, ax, ay, az) or (kind != WORLD and not lobes and is_sheet(sheets)))
                 if not lobes and kind != WORLD:
-                    bends = frosted or (bends and not sizeless)
+                    # As `surfaces.visibility.transmittance1` has it.
+                    bends = strayed >= SCATTERING * (_1 if kind == SUN else flown - before) or (bends and not sizeless)
                 # What is within a solid is lit by straight rays.
                 if not receives or (flags & REFRACTIVE and (thrown or not lobes)) or (not thrown and flown < before + near):
                     break
@@ -346,7 +347,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 sheets += bends_most(surface)
                 front = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
                 ix, iy, iz = dx, dy, dz
-                frosted |= scatters(surface)
+                strayed = max(strayed, stray(surface) * (_1 if kind == SUN else flown - before))
                 joined = joined_alpha(frost, surface[FROST])
                 surface[FROST] = rest_alpha(frost, joined)
                 frost = max(frost, joined)

@@ -25,8 +25,8 @@ from .program import MEAN_VIEW, evaluate, from_within, reflected_view, specular_
 
 STRAIGHT_ON = np.float32(1e-3)  # distance of an index of refraction from 1 up to which glass bends nothing
 _BENDING = 0.2  # of the sum of normals across a ray: a tenth of a radian in glass
-# Roughness from which on glass scatters the light of lamps: a pane of a roughness of .2 by about two degrees.
-_SCATTERING = 0.2
+# Square of the roughness from which on glass scatters light: a pane of a roughness of .2 by about two degrees.
+SCATTERING = np.float32(0.2 * 0.2)
 # Instead of the share of light that passed no glass: a lens throws it elsewhere, or frosted glass scatters it, of which lobes know nothing.
 BY_LENS, BY_FROST = np.float32(-1.0), np.float32(-2.0)
 MAX_PASSED = 128  # transparent surfaces on one segment; what lies behind more counts as dark
@@ -113,11 +113,15 @@ def bends_most(surface):
 
 
 @inlined
-def scatters(surface):
-    """Whether most of what a surface lets through is scattered by frosted glass so far that what a lamp sends there casts no shadows as if it went straight."""
+def stray(surface):
+    """Square of the roughness of the glass by which most of what a surface lets through is scattered, 0 for none.
+
+    Seen from where it arrives, a lamp behind frosted glass is blurred in proportion to this and to the part of its way that lies behind the glass: not by its own
+    shade, but as a sun is by a skylight.  From `SCATTERING` on its light is photons', and casts no shadows as if it went straight.
+    """
     refracted = surface[REFRACTION] + surface[REFRACTION + 1] + surface[REFRACTION + 2]
     through = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
-    return refracted > np.float32(0.5) * through and surface[STRAY] >= np.float32(_SCATTERING * _SCATTERING)
+    return surface[STRAY] if refracted > np.float32(0.5) * through else _0
 
 
 @inlined
@@ -178,7 +182,7 @@ def transmittance1(scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, t_near,
             clear *= max(_0, _1 - refracted)
             glasses += 1
             own = lamp and fronts == 0 and begins_in(surface, behind, begun)
-            frosted |= lamp and not own and scatters(surface)
+            frosted |= lamp and not own and stray(surface) * (_1 - t / t_far) >= SCATTERING
             if own:
                 begun -= 1
             elif lamp and bends_most(surface):
