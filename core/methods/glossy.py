@@ -8,6 +8,7 @@ anyway, by the cache of light, and mirrors reflect in turn.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -90,6 +91,9 @@ _SURE = 3  # reflections after which chance ends dim paths
 # Shares of the narrow lobe in all that a surface reflects: beyond the first the cache, to which all is diffuse, does not know
 # what is seen; beyond the second the surface is a mirror to the denoiser's guide.
 _SHINY, _MIRROR = np.float32(0.5), np.float32(0.9)
+# Of the roughness of the lobe that a ray was drawn from: as rough is, at least, what it shows of the mirror that it meets (Kaplanyan & Dachsbacher 2013, "Path Space
+# Regularization for Holistic and Robust Light Transport").  A lamp in it would be a spark of thousands of times the light of what is around; this blurs its image by a ninth.
+AS_ROUGH = np.float32(0.7)
 _SHARP = np.float32(0.2)  # roughness of what mirrors well enough to show edges
 _SEED = 0x9E3779B9  # sets these rays apart from those of other stages
 _0 = np.float32(0.0)
@@ -416,7 +420,7 @@ def _reflect_chunk(
             hits.ng[n_hits, 0], hits.ng[n_hits, 1], hits.ng[n_hits, 2] = hx, hy, hz
             hits.ns[n_hits, 0], hits.ns[n_hits, 1], hits.ns[n_hits, 2] = nx, ny, nz
             hits.wo[n_hits, 0], hits.wo[n_hits, 1], hits.wo[n_hits, 2] = -ex, -ey, -ez
-            hits.error[n_hits], hits.roughness[n_hits] = p_error, surface[ROUGHNESS]
+            hits.error[n_hits], hits.roughness[n_hits] = p_error, max(surface[ROUGHNESS], AS_ROUGH * np.float32(math.sqrt(lobe[ALPHA])))
             for c in range(4):
                 hits.gloss[n_hits, c] = surface[GLOSS + c]
             hits.pixel[n_hits], hits.triangle[n_hits] = owner[i], triangle
