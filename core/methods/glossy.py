@@ -92,8 +92,8 @@ _SURE = 3  # reflections after which chance ends dim paths
 # what is seen; beyond the second the surface is a mirror to the denoiser's guide.
 _SHINY, _MIRROR = np.float32(0.5), np.float32(0.9)
 # Of the roughness of the lobe that a ray was drawn from: as rough is, at least, what it shows of the mirror that it meets (Kaplanyan & Dachsbacher 2013, "Path Space
-# Regularization for Holistic and Robust Light Transport").  A lamp in it would be a spark of thousands of times the light of what is around; this blurs its image by a ninth.
-AS_ROUGH = np.float32(0.7)
+# Regularization for Holistic and Robust Light Transport").  A lamp in it would be a spark of thousands of times the light of what is around; its image is a fifth less bright, and as much larger, at most.
+AS_ROUGH = np.float32(0.5)
 _SHARP = np.float32(0.2)  # roughness of what mirrors well enough to show edges
 _SEED = 0x9E3779B9  # sets these rays apart from those of other stages
 _0 = np.float32(0.0)

@@ -374,6 +374,21 @@ def test_a_wide_lobe_shows_the_lamp_in_a_mirror():
     assert found["instant-radiosity"] > 1e-3
 
 
+def test_the_sun_in_a_mirror_is_no_spark_in_a_rough_floor():
+    """One ray in hundreds met it where it mirrors the sun, and found thousands of times the light of the others: that point alone lit a third of a picture."""
+    mirror = [(2, -2, 0.2), (2, 2, 0.2), (2, 2, 3), (2, -2, 3)]
+    points = points_at(4096, 0.45, f0=0.5, f90=0.5, position=(0.4, 0.1, 0))
+    points.wo[:] = np.array([-1, 0.1, 0.7]) / np.linalg.norm([-1, 0.1, 0.7])
+    room = Set(lamp(sc.SUN, 10.0, towards=(1, 0.2, -0.9), angle=0.02), quad=(mirror,), surfaces=((0.0, 0.0),), mirrors=(0,))
+    room.tables.materials.constant[0, ROUGHNESS] = 0.1
+    found = reflect(room.tables, points, 16, 4, 4, 1).indirect[:, 0]
+    mean, error = mean_and_error(found)
+    behind = Set(lamp(sc.SUN, 10.0, towards=(-1, 0.2, -0.9), angle=0.02))  # the mirror's image of it
+    expected = direct_light(behind.tables, points, 16, 1, 0, reflections=4)[0].glossy[:, 0].mean()
+    assert mean == pytest.approx(float(expected), abs=0.15 * float(expected) + 3 * error)
+    assert found.max() < 100 * mean and error < 0.1 * mean
+
+
 # -- work --------------------------------------------------------------------------------------------------
 
 
