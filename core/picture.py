@@ -16,6 +16,7 @@ from .jit import kernel
 from .lamps import LightGroups
 from .layers import GROUP_LAYERS, Layers
 from .scene import Scene
+from .sharp_shadows import SharpLight, doubt_of, give_shadows_back
 from .subpixel import PointLight, give_back, joined
 from .surfaces.lobes import NEGLIGIBLE
 from .threads import run_chunks
@@ -29,9 +30,6 @@ AROUND = 5  # pixels along a side of what takes back light that was smeared
 MARGIN = 16  # pixels around what is denoised of a picture, which a denoiser sees, too
 LEAST_FORESEEN = np.float32(1e-6)  # of its mean: what is darker has no light to be told from noise
 LEAST_SOFT = np.float32(1e-3)  # of the mean of what has sharp shadows: less is rounding
-# Of rays to a small lamp, lit or not by chance, the fewest whose own difference tells their variance; that of fewer, by Jeffreys' prior; the pixels along a side in which
-# it is compared; and what number of rays is as good as any.
-TELLING, FEW_RAYS, COMPARED, MOST_RAYS = np.float32(2.0), np.float32(3 / 16), 5, np.float32(4096.0)
 QUICKER = {"high": "balanced", "balanced": "fast"}  # of OIDN's qualities, for layers that gain little by the better one
 LIGHT = ("direct", "diffuse_indirect", "glossy_indirect", "emission")
 # What passes average; position and depth are the first one's.
@@ -135,9 +133,7 @@ class Picture:
             reflected = np.float32(1 / np.pi) * clear * seen.points.albedo
             parts_lit = reflected * unshadowed
             sharp, unshadowed = (splat(seen.points, light, seen.shape) for light in (reflected * sharp, parts_lit))
-            whole_lit = unshadowed.reshape(-1, 3)[seen.points.pixel]
-            shares = np.divide(parts_lit, whole_lit, out=np.zeros_like(parts_lit), where=whole_lit > 0)
-            doubt = splat(seen.points, parts_lit * shares / np.maximum(sharp_rays, 1)[:, None], seen.shape)
+            doubt = splat(seen.points, doubt_of(parts_lit, unshadowed.reshape(-1, 3)[seen.points.pixel], sharp_rays), seen.shape)
         if shine is not None:
             shine = splat(seen.points, clear * shine.reshape(len(shine), shine.shape[1] // 3, 3).sum(axis=1), seen.shape)
         expected = seen.points.albedo * clear
@@ -252,26 +248,8 @@ class Picture:
             soft = cleaned(soft, self.albedo, quality, highlights=True)
         sharp = cleaned(self.sharp, self.albedo, quality, highlights=True)
         if self.unshadowed is not None:
-            self._give_sharp_back(sharp, threads)
+            give_shadows_back(sharp, SharpLight(self.sharp, self.unshadowed, self.doubt), threads)
         return soft + sharp
-
-    def _give_sharp_back(self, clean: np.ndarray, threads: int) -> None:
-        """Add to `clean`, the denoised light of lamps with sharp shadows, what it lacks of `sharp` (H, W, 3), as far as it is more than the noise of the pixels around.
-
-        Shadows of leaves, which a denoiser takes for noise, differ from what it makes of them by more than their rays' noise, wide penumbras by less.
-        """
-        planes = np.empty((4, *clean.shape[:2]), np.float32)
-        told = self.sharp, clean, self.unshadowed, self.doubt
-        run_chunks(lambda begin, end: _tell_noise(*told, begin, end, *planes), len(clean), ROWS, threads)
-        noise, lacking, lit, rays = (uniform_filter(plane, COMPARED, mode="nearest") for plane in planes)
-        # Rays are in strata, few of which the bounds of shadows cross: noise falls with the root of their number as well, of those that tell what few do.
-        noise /= np.sqrt(np.maximum(rays * np.minimum(lit, 1 - lit), 1))
-        kept = np.zeros_like(noise)
-        np.divide(lacking - noise, lacking, out=kept, where=lacking > noise)
-        dots = np.zeros((len(clean), 3))
-        run_chunks(lambda begin, end: _add_lacking(self.sharp, self.unshadowed, kept, begin, end, clean, dots), len(clean), ROWS, threads)
-        sums = clean.sum(axis=(0, 1), dtype=np.float64)
-        clean *= 1 + np.divide(dots.sum(axis=0), sums, out=np.zeros(3), where=sums > 0).astype(np.float32)
 
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
         """The albedo with what narrow lobes show, of which few rays have told, and whether it is free of noise."""
@@ -432,56 +410,6 @@ def splat(points: ShadingPoints, radiance: np.ndarray, shape: tuple[int, int]) -
     out = np.zeros((shape[0] * shape[1], 3), np.float32)
     _splat(points.pixel, radiance, out)
     return out.reshape(*shape, 3)
-
-
-@kernel
-def _tell_noise(sharp, clean, unshadowed, doubt, begin, end, noise, lacking, lit, rays):
-    """Rows of (H, W): the variance of `sharp` as a part of `unshadowed`, and the square of what `clean` lacks of it, each of all channels together; the lit part of
-    the rays, and their number.
-
-    Lit or not is all that rays to a small lamp tell, so that the variance is that of a binomial distribution, told without bias by the rays themselves.
-    """
-    for y in range(begin, end):
-        for x in range(sharp.shape[1]):
-            noise[y, x] = lacking[y, x] = lit[y, x] = rays[y, x] = np.float32(0.0)
-            for c in range(3):
-                whole = unshadowed[y, x, c]
-                part = sharp[y, x, c] / whole
-                if not (whole > 0 and part >= 0):  # nor where that is no number, which would be all around it
-                    continue
-                part, n = min(part, np.float32(1.0)), min(whole / doubt[y, x, c], MOST_RAYS)
-                noise[y, x] += part * (np.float32(1.0) - part) / (n - np.float32(1.0)) if n >= TELLING else FEW_RAYS
-                lack = abs(sharp[y, x, c] - clean[y, x, c]) / whole
-                if lack > 0:  # beside light that the denoiser has smeared, no more than all
-                    lacking[y, x] += min(lack, np.float32(1.0)) ** 2
-                lit[y, x], rays[y, x] = part, n
-
-
-@kernel
-def _add_lacking(sharp, unshadowed, kept, begin, end, clean, dots):
-    """Adds to rows of `clean` the part `kept` (H, W) of what they lack of `sharp`, but makes no pixel more lit than the most lit of those beside it: few rays find the sun
-    through blinds, and where two of a pixel's do by chance there would be a dot.  What those would have is added to rows of `dots` (H, 3), for all."""
-    height, width = kept.shape
-    for y in range(begin, end):
-        for x in range(width):
-            if not kept[y, x] > 0:
-                continue
-            for c in range(3):
-                most, alone = np.float32(0.0), True
-                for v in range(max(y - 1, 0), min(y + 2, height)):
-                    for u in range(max(x - 1, 0), min(x + 2, width)):
-                        if (v != y or u != x) and unshadowed[v, u, c] > 0:
-                            alone = False
-                            if sharp[v, u, c] > most * unshadowed[v, u, c]:
-                                most = sharp[v, u, c] / unshadowed[v, u, c]
-                lack = sharp[y, x, c] - clean[y, x, c]
-                if not abs(lack) < np.inf:  # nor where that is no number
-                    continue
-                if not alone:
-                    bounded = min(lack, max(most * unshadowed[y, x, c] - clean[y, x, c], np.float32(0.0)))
-                    dots[y, c] += kept[y, x] * (lack - bounded)
-                    lack = bounded
-                clean[y, x, c] += kept[y, x] * lack
 
 
 @kernel

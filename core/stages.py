@@ -240,12 +240,12 @@ def light_points(
     threads: int,
     *,
     direct: bool = True,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Direct (zero unless wanted) and indirect irradiance, (N, 3) W/m^2 each, at points that need not belong to any view.
+) -> DirectLight:
+    """Light at points that need not belong to any view: direct irradiance, zero unless it is wanted, and as `irradiance_by_glass` all that is indirect.
 
     points: N of them, in an order in which neighbours lie close together; without glossy lobes.
     """
-    first = by_glass = tables.emitters.no_light(len(points.pixel))
+    none = by_glass = tables.emitters.no_light(len(points.pixel))
     if run.topology is not None:
         tables = within_reach(run, tables, points)
     sampler = cache_stage(run, tables, points, settings, threads, texels=len(np.unique(points.pixel)))
@@ -254,8 +254,10 @@ def light_points(
     if direct or refractive(tables):
         with run.stage("direct") as tick:
             light = direct_stage(run, scene, tables, points, settings, threads, tick, sampler)
-        first, by_glass = light.irradiance if direct else first, light.irradiance_by_glass
-    return first, indirect + by_glass
+        if direct:
+            return light._replace(irradiance_by_glass=indirect + light.irradiance_by_glass)
+        by_glass = light.irradiance_by_glass
+    return DirectLight(none, none, indirect + by_glass, none)
 
 
 def refractive(tables: Transport) -> bool:

@@ -12,6 +12,7 @@ from ..errors import SceneError
 from ..rays.order import morton_order
 from ..scene import Scene
 from ..settings import CONTENTS, BakeSettings, RenderSettings
+from ..sharp_shadows import SharpLight, doubt_of
 from ..soundness import sound
 from ..stages import Run, StageProgress, light_points, method_of, prepared
 from ..threads import thread_count
@@ -126,7 +127,7 @@ def bake_corners(
     with prepared(run, scene, request, threads) as tables:
         with run.stage("texels") as tick:
             corners = view_corners(tables, triangles, settings.texel_samples, request.seed, threads, tick, materials=full)
-        (light,) = _light(run, scene, tables, [corners], settings, threads)
+        ((light, _),) = _light(run, scene, tables, [corners], settings, threads)
     if full:
         light = corners.albedo * light * np.float32(1 / np.pi) + corners.emission
     return light, corners.state == LIT, run.warnings
@@ -151,8 +152,10 @@ def _view(run: Run, tables: Transport, target: Target, settings: BakeSettings, t
     return texels, charts
 
 
-def _light(run: Run, scene: Scene, tables: Transport, seen: list[Texels], settings: BakeSettings, threads: int) -> list[np.ndarray]:
-    """Irradiance (H, W, 3) of each image; all images are lit together."""
+def _light(
+    run: Run, scene: Scene, tables: Transport, seen: list[Texels], settings: BakeSettings, threads: int
+) -> list[tuple[np.ndarray, SharpLight | None]]:
+    """Irradiance (H, W, 3) of each image, and what of it has sharp shadows; all images are lit together."""
     sizes = [texels.state.size for texels in seen]
     first = np.concatenate([[0], np.cumsum(sizes)])
     points = ShadingPoints.concatenate(
@@ -160,30 +163,41 @@ def _light(run: Run, scene: Scene, tables: Transport, seen: list[Texels], settin
     )
     points = points.take(morton_order(points.position, points.ns))
     request = settings.render.with_defaults()
-    direct, indirect = light_points(run, scene, tables, points, request, threads, direct=settings.content != "indirect")
-    flat = _image(points, direct + indirect, first[-1])
-    return [flat[start : start + size].reshape(*texels.state.shape, 3) for texels, start, size in zip(seen, first, sizes)]
+    light = light_points(run, scene, tables, points, request, threads, direct=settings.content != "indirect")
+    layers = [_image(points, light.irradiance + light.irradiance_by_glass, first[-1])]
+    if light.sharp is not None:
+        lit, unshadowed = (_image(points, part, first[-1]) for part in (light.sharp, light.unshadowed))
+        doubt = doubt_of(points.albedo * light.unshadowed, unshadowed[points.pixel], light.sharp_rays)
+        layers += [lit, unshadowed, _sums(points, doubt, first[-1])]
+    images = [
+        [flat[start : start + size].reshape(*texels.state.shape, 3) for flat in layers] for texels, start, size in zip(seen, first, sizes)
+    ]
+    return [(whole, SharpLight(*sharp) if sharp else None) for whole, *sharp in images]
 
 
 def _image(points: ShadingPoints, irradiance: np.ndarray, n: int) -> np.ndarray:
     """Sum (n, 3) of the irradiance (N, 3) of each texel's points by their shares of it."""
-    shown = points.albedo * irradiance
-    return np.stack([np.bincount(points.pixel, shown[:, c], n) for c in range(3)], axis=1).astype(np.float32)
+    return _sums(points, points.albedo * irradiance, n)
+
+
+def _sums(points: ShadingPoints, values: np.ndarray, n: int) -> np.ndarray:
+    """Sum (n, 3) of the values (N, 3) of each texel's points."""
+    return np.stack([np.bincount(points.pixel, values[:, c], n) for c in range(3)], axis=1).astype(np.float32)
 
 
 def _finished(
-    run: Run, scene: Scene, target: Target, texels: Texels, charts: Charts, irradiance: np.ndarray, settings: BakeSettings,
+    run: Run, scene: Scene, target: Target, texels: Texels, charts: Charts, light: tuple[np.ndarray, SharpLight | None], settings: BakeSettings,
     denoiser: Denoiser | None, threads: int,
 ) -> Lightmap:  # fmt: skip
-    """The image that is kept, of the irradiance (H, W, 3): without noise, with margins, without seams."""
-    lit = texels.state == LIT
+    """The image that is kept, of the `_light` of its texels: without noise, with margins, without seams."""
+    lit, (irradiance, sharp) = texels.state == LIT, light
     if not lit.any():
         return Lightmap(target.name, np.zeros_like(texels.normal), texels.state)
     with run.stage("margin"):
         around = surroundings(texels.state)
     if denoiser is not None:
         with run.stage("denoise") as denoiser.progress:
-            irradiance = denoised(irradiance, texels.normal, texels.position, around, denoiser, threads)
+            irradiance = denoised(irradiance, texels.normal, texels.position, around, denoiser, threads, sharp)
     with run.stage("margin"):
         image, filled = extended(irradiance, texels.state, around, settings.margin)
     if settings.stitch:

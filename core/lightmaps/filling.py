@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import convolve, distance_transform_edt, find_objects, label
 
 from ..denoise import Denoiser, mean_factor
+from ..sharp_shadows import SharpLight, give_shadows_back
 from ..view.texels import EMPTY, HIDDEN, LIT
 
 # Hidden neighbours, of those that show a surface, of a texel that is hidden itself, whatever its own few rays found; and so many at least.
@@ -112,20 +113,29 @@ def packing(lit: np.ndarray) -> Packing | None:
 
 
 def denoised(
-    irradiance: np.ndarray, normal: np.ndarray, position: np.ndarray, around: Surroundings, denoiser: Denoiser, threads: int
-) -> np.ndarray:
+    irradiance: np.ndarray, normal: np.ndarray, position: np.ndarray, around: Surroundings, denoiser: Denoiser, threads: int,
+    sharp: SharpLight | None = None,
+) -> np.ndarray:  # fmt: skip
     """`irradiance` (H, W, 3) without noise where texels are lit, its mean kept.
 
     Charts are mirrored about their edges first: a black gutter would darken them, and one filled with streaks of a colour would
     look like a pattern to be kept; and laid closer together, to save time.  Normals (H, W, 3) tell the denoiser where one chart ends and another begins; positions (m) are
-    for the blur that stands in for it.
+    for the blur that stands in for it.  sharp: what of the irradiance has sharp shadows, which is denoised apart and gets them back.
     """
     if not irradiance[around.lit].any():
         return irradiance
     packed = packing(around.lit)
     source = around.mirrored if packed is None else around.mirrored.ravel()[packed.source]
     color, normal, position = (_taken(image, source) for image in (irradiance, normal, position))
-    clean = denoiser.denoise(color, np.full_like(color, 0.5), normal, position=position, threads=threads)
+    guides = np.full_like(color, 0.5), normal
+    clean = np.zeros_like(color)
+    if sharp is not None:
+        sharp = SharpLight(*(_taken(image, source) for image in sharp))
+        clean += denoiser.denoise(sharp.lit, *guides, position=position, threads=threads)
+        give_shadows_back(clean, sharp, threads)
+        color = color - sharp.lit
+    if color.any():
+        clean += denoiser.denoise(color, *guides, position=position, threads=threads)
     if packed is not None:
         clean = _taken(clean, packed.place)
     factor = mean_factor(irradiance[around.lit][None], clean[around.lit][None])
