@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lumigate.core import scene as sc
 from lumigate.core.denoise import Denoiser
 from lumigate.core.errors import SceneError
 from lumigate.core.lightmaps import Target, bake, check_charts, filling, seams
@@ -69,6 +70,35 @@ def test_what_no_light_reaches_is_black_and_told(build):
     lightmap = result.lightmaps[0]
     assert (lightmap.state == LIT).any() and not lightmap.image.any()
     assert any(line.startswith("no light reaches 'Walls'") and "Recalculate Outside" in line for line in result.stats["warnings"])
+
+
+def test_shadows_of_leaves_stay_sharp(build, monkeypatch):
+    """Of a texel or two: the denoiser takes them for noise."""
+    floor = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
+    low = np.random.default_rng(1).uniform(-1.3, 1.3, (900, 2))
+    leaves = [[(x, y, 0.3), (x, y + 0.04, 0.3), (x + 0.04, y + 0.04, 0.3), (x + 0.04, y, 0.3)] for x, y in low]
+    scene = build.scene(
+        build.geometry(*build.quads(floor, *leaves), np.repeat([0] + len(leaves) * [1], 2)),
+        build.materials((0.5, 0.0), (0.0, 0.0)),
+        lamps=build.lamp(sc.SUN, 4.0, axes=np.linalg.qr([[1, 0, 0.1], [0, 1, 0.3], [-0.1, -0.3, 1.0]])[0].T, angle=0.009),
+    )
+    scene.camera = None
+    target = Target("Floor", np.arange(2, dtype=np.int32), cells(1, 1, gap=0.05), (64, 64))
+
+    def image(**more):
+        render = RenderSettings(vpls=256, bounces=1, seed=1, **more)
+        return bake(scene, [target], BakeSettings(render, content="irradiance", texel_samples=16)).lightmaps[0]
+
+    expected = image(denoise=False, direct_samples=256)
+    lit = expected.state == LIT
+
+    def error():
+        return np.mean((image().image[lit] - expected.image[lit]) ** 2)
+
+    sharp = error()
+    monkeypatch.setattr(filling, "give_shadows_back", lambda clean, light, threads: None)
+    smeared = error()
+    assert sharp < 0.1 * smeared
 
 
 def test_images_are_lit_together_and_kept_apart(furnace):
