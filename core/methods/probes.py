@@ -171,7 +171,7 @@ def trace_farther(
     # Few of them may carry most of the light, or all: then each is followed on many times.
     turns = MOST_TURNS * min(1.0, beyond / (IMPORTANT * known)) if known > 0 else MOST_TURNS
     further = number.repeat(max(0, round(turns) - 1))
-    further = further[:: max(1, math.ceil(len(further) / max(1.0, FEWER * paths)))]
+    further = further[:: max(1, math.ceil(len(further) / max(1.0, FEWER * paths)))].copy()  # contiguous: the kernel is compiled once
     others, more = _follow(scene, points, paths, further, len(number), seed, threads, progress)
     return Probes.concatenate([found, others]), rays + more
 

@@ -546,7 +546,9 @@ def one_ray_each(scene, p, count, seed):
     z = np.float32(0)
     o = np.float32(1)
     for i in range(count):
-        r, g, b = direct_irradiance_at(scene, packet, rows, surface, p[0], p[1], p[2], np.float32(1e-6), z, z, o, z, z, o, seed, i, 0)
+        r, g, b = direct_irradiance_at(
+            scene, packet, rows, surface, p[0], p[1], p[2], np.float32(1e-6), z, z, o, z, z, o, seed, np.uint32(i), 0
+        )
         total[0] += r
         total[1] += g
         total[2] += b
