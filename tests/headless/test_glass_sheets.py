@@ -19,7 +19,7 @@ from lumigate.headless.cache import cached_halves
 from .test_direct_light import lamp, look, material, quad
 from .test_glass import shader, slab
 
-SEEDS = 4
+SEEDS = 3
 
 
 def sky(scene, strength=1.0):
@@ -57,6 +57,11 @@ def open_box(z=0.0):
     """An empty scene but for a dark floor at height z in a black box that is open above."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
+    put_box(scene, z)
+    return scene
+
+
+def put_box(scene, z=0.0):
     floor = material("Floor", Base_Color=(0.2, 0.2, 0.2, 1), Specular_IOR_Level=0.0)
     quad(scene, [(-0.8, -0.8, z), (0.8, -0.8, z), (0.8, 0.8, z), (-0.8, 0.8, z)], floor)
     black = material("Black", Base_Color=(0, 0, 0, 1), Specular_IOR_Level=0.0)
@@ -64,33 +69,67 @@ def open_box(z=0.0):
         quad(scene, [(x, -1, -1), (x, 1, -1), (x, 1, 1), (x, -1, 1)], black)
         quad(scene, [(-1, x, -1), (1, x, -1), (1, x, 1), (-1, x, 1)], black)
     quad(scene, [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)], black)
-    return scene
 
 
-def booth(over):
-    """A dark floor in a black box that is open to the sky but for a roof."""
-    # Close below the top of the solid that it lies in: what its far sides reflect is not modelled.
-    scene = open_box(0.97 if over == "inside" else 0.0)
-    ROOFS[over](scene)
-    scene.collection.objects[-1].visible_camera = False
-    if over == "halves":
-        scene.collection.objects[-1].location = (0, 0, 0.99)
-    sky(scene)
-    look(scene, (0, 0, 20), (0, 0, 0), type="ORTHO", ortho_scale=1.6)
-    return scene
+class Row:
+    """Booths side by side under the sky, a dark floor in a black box that is open but for a roof in each, seen from above.
+
+    roofs: by name, what puts one over the origin.  inside: name of the one whose floor is close below the top of the solid that it lies in.
+    """
+
+    def __init__(self, roofs, inside=None):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        scene = self.scene = bpy.context.scene
+        self.names = list(roofs)
+        for k, (over, put) in enumerate(roofs.items()):
+            others = len(scene.collection.objects)
+            put_box(scene, 0.97 if over == inside else 0.0)
+            put(scene)
+            scene.collection.objects[-1].visible_camera = False
+            if over == "halves":
+                scene.collection.objects[-1].location.z = 0.99
+            for made in scene.collection.objects[others:]:
+                made.location.x += 2.2 * k
+        sky(scene)
+        look(scene, (1.1 * len(roofs) - 1.1, 0, 20), (0, 0, 0), type="ORTHO", ortho_scale=2.2 * len(roofs))
+        self.size = (22 * len(roofs), 16)
+
+    def floor(self, layer, over):
+        """The part of a picture that shows the floor of a booth, 16 x 16 pixels."""
+        begin = 22 * self.names.index(over) + 3
+        return layer[:, begin : begin + 16]
+
+
+@pytest.fixture(scope="module")
+def row():
+    """(row, halves of the reference, our scene): what far sides of a solid reflect is not modelled, so "inside" is below its top."""
+    built = Row(ROOFS, inside="inside")
+    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "row": built.names}
+    return (
+        built,
+        cached_halves(built.scene, identity, size=built.size, spp=512, bounces=4, seed=1),
+        extract_scene(built.scene, size=built.size),
+    )
+
+
+@pytest.fixture(scope="module")
+def pictures(row):
+    """Of each method, ours of some seeds."""
+    return {
+        method: [render(row[2], RenderSettings(seed=seed, denoise=False, method=method, direct_samples=32)).layers for seed in range(SEEDS)]
+        for method in ("importance-sampling", "instant-radiosity")
+    }
 
 
 @pytest.mark.parametrize(
     ("over", "method"),
     [*((over, "importance-sampling") for over in ROOFS), *((over, "instant-radiosity") for over in ("down", "rough", "pane", "inside"))],
 )
-def test_light_through_a_sheet_is_as_cycles(over, method):
-    scene = booth(over)
-    identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "over": over}
-    halves = cached_halves(scene, identity, size=(16, 16), spp=1024, bounces=4, seed=1)
-    arrays = extract_scene(scene, size=(16, 16))
-    ours = [render(arrays, RenderSettings(seed=seed, denoise=False, method=method, direct_samples=32)).layers for seed in range(SEEDS)]
-    expected, mine = ([layers["DiffuseIndirect"].mean(dtype=float) for layers in some] for some in (halves, ours))
+def test_light_through_a_sheet_is_as_cycles(row, pictures, over, method):
+    built, halves, _ = row
+    expected, mine = (
+        [built.floor(layers["DiffuseIndirect"], over).mean(dtype=float) for layers in some] for some in (halves, pictures[method])
+    )
     noise = abs(expected[0] - expected[1]) / 2 + np.std(mine, ddof=1) / math.sqrt(SEEDS)
     assert abs(np.mean(mine) - np.mean(expected)) <= 0.05 * np.mean(expected) + 3 * noise
 
@@ -200,12 +239,12 @@ LOBES = {"sheet": lambda: standing(0), "pane": lambda: standing(0.02), "mirror":
 @pytest.mark.parametrize("place", LOBES)
 def test_photons_by_lobes_meet_glass_as_in_cycles(place):
     """What glass reflects on either of its sides, and mirrors of what comes through it, reaches the floor, and what lies behind the glass does not have it, too."""
-    scene = LOBES[place]()
+    scene, seeds = LOBES[place](), 4
     identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "place": place}
     halves = cached_halves(scene, identity, size=(32, 18), spp=512, bounces=4, seed=1)
     arrays = extract_scene(scene, size=(32, 18))
-    ours = [render(arrays, RenderSettings(seed=seed, denoise=False)).layers for seed in range(SEEDS)]
+    ours = [render(arrays, RenderSettings(seed=seed, denoise=False)).layers for seed in range(seeds)]
     for layer in ("DiffuseIndirect", "GlossyIndirect"):
         expected, mine = ([layers[layer].mean(dtype=float) for layers in some] for some in (halves, ours))
-        noise = abs(expected[0] - expected[1]) / 2 + np.std(mine, ddof=1) / math.sqrt(SEEDS)
+        noise = abs(expected[0] - expected[1]) / 2 + np.std(mine, ddof=1) / math.sqrt(seeds)
         assert abs(np.mean(mine) - np.mean(expected)) <= 0.03 * np.mean(expected) + 3 * noise
