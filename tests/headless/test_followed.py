@@ -48,7 +48,7 @@ def test_wall_is_lit_by_way_of_a_polished_floor():
     quad(scene, [(0, -6, 0.7), (0, 6, 0.7), (0, 6, 9), (0, -6, 9)], black)
     lamp(scene, "SPOT", (-0.5, 0, 3), (0, math.radians(90), 0), energy=2000.0, spot_size=math.radians(40), shadow_soft_size=0.05)
     look(scene, (1, 0, 2), (math.radians(90), 0, math.radians(-90)), type="ORTHO", ortho_scale=8.0)
-    found, expected = compared(scene, "DiffuseIndirect", 4096, 4)
+    found, expected = compared(scene, "DiffuseIndirect", 2048, 4)
     for part in (np.s_[:8], np.s_[8:16]):
         check(found[:, part].mean(axis=(1, 2)), expected[part].mean(), 0.05)
 
@@ -63,7 +63,7 @@ def test_rough_floor_shows_varnish_without_the_highlight_that_flies_over_it():
     quad(scene, [(-3, 3, 0.1), (3, 3, 0.1), (3, 3, 3), (-3, 3, 3)], board)
     lamp(scene, "AREA", (0, 1.5, 0.02), (math.radians(135), 0, 0), energy=200.0, size=0.4, seen=False)
     look(scene, (0, -3, 2.0), (math.radians(60), 0, 0), lens=24.0)
-    found, expected = compared(scene, "GlossyIndirect", 2048)
+    found, expected = compared(scene, "GlossyIndirect", 1024)
     check(found.mean(axis=(1, 2)), expected.mean(), 0.08)
 
 
@@ -76,5 +76,5 @@ def test_board_shows_the_highlight_of_a_rough_floor_to_the_floor():
     quad(scene, [(-3, 3, 0.1), (3, 3, 0.1), (3, 3, 3), (-3, 3, 3)], board)
     lamp(scene, "AREA", (0, -1, 0.8), (math.radians(70), 0, 0), energy=200.0, size=0.6, seen=False)
     look(scene, (0, -3, 2.0), (math.radians(70), 0, 0), lens=24.0)
-    found, expected = compared(scene, "GlossyIndirect", 2048)
+    found, expected = compared(scene, "GlossyIndirect", 1024)
     check(found.mean(axis=(1, 2)), expected.mean(), 0.08)

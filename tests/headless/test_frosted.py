@@ -116,7 +116,7 @@ def test_a_lamp_in_a_frosted_shade_is_as_bright_as_in_cycles_and_nowhere_brighte
     reference, _ = render_layers(scene, ReferenceSettings(spp=128, size=size, bounces=2))
     arrays = extract_scene(scene, size=size)
     settings = RenderSettings(method="importance-sampling", bounces=2, denoise=False)
-    ours = [render(arrays, replace(settings, seed=seed)).layers["GlossyIndirect"] for seed in range(4)]
+    ours = [render(arrays, replace(settings, seed=seed)).layers["GlossyIndirect"] for seed in range(2)]
     radiance = 45 / (4 * math.pi**2 * 0.03**2)
     assert np.max(ours) < 1.2 * radiance
     expected = reference["GlossyIndirect"]
@@ -159,10 +159,10 @@ def test_lamps_on_the_other_side_of_a_frosted_sheet_send_the_square_of_the_index
     """Half of the light was missing around the ball, and half too much behind the sheet, where the lamp's light went straight through."""
     scene, layer = built()
     size = (32, 24)
-    reference, _ = render_layers(scene, ReferenceSettings(spp=1024, size=size, bounces=2))
+    reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=size, bounces=2))
     arrays = extract_scene(scene, size=size)
     settings = RenderSettings(method="importance-sampling", bounces=2, denoise=False)
-    ours = [render(arrays, replace(settings, seed=seed)).layers[layer] for seed in range(2)]
+    ours = [render(arrays, replace(settings, seed=seed)).layers[layer] for seed in range(1)]
     assert np.mean(ours) == pytest.approx(reference[layer].mean(), rel=0.2)
 
 

@@ -41,7 +41,7 @@ def room(emitter, metallic):
 def test_glossy_surfaces_reflect_what_diffuse_ones_do_not_see(emitter, metallic):
     scene, placed = room(emitter, metallic)
     placed.visible_diffuse = False
-    reference, _ = render_layers(scene, ReferenceSettings(spp=512, size=SIZE, bounces=2))
+    reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=SIZE, bounces=2))
     arrays = extract_scene(scene, size=SIZE)
     assert not [line for line in arrays.warnings if "diffuse rays" in line]
     ours = [render(arrays, RenderSettings(method="importance-sampling", bounces=2, seed=seed)).layers for seed in range(4)]
@@ -58,9 +58,9 @@ def test_metal_that_lights_metal_sends_the_light_where_its_lobe_does(roughness):
     placed.visible_diffuse = False
     bpy.data.objects.remove(bpy.data.objects["Other"])
     bpy.data.materials["Shiny"].node_tree.nodes["Principled BSDF"].inputs["Roughness"].default_value = roughness
-    reference, _ = render_layers(scene, ReferenceSettings(spp=512, size=SIZE, bounces=1))
+    reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=SIZE, bounces=1))
     arrays = extract_scene(scene, size=SIZE)
-    ours = [render(arrays, RenderSettings(method="importance-sampling", bounces=1, seed=seed)).layers for seed in range(4)]
+    ours = [render(arrays, RenderSettings(method="importance-sampling", bounces=1, seed=seed)).layers for seed in range(2)]
     found = np.mean([layers["DiffuseIndirect"].mean(dtype=float) for layers in ours])
     assert found == pytest.approx(reference["DiffuseIndirect"].mean(dtype=float), rel=0.035)
 

@@ -18,8 +18,8 @@ from .test_direct_light import lamp, look, material, quad
 from .test_glass import shader
 
 SIZE = (96, 54)
-SPP = 256
-SEEDS = 4
+SPP = 128
+SEEDS = 3
 
 
 def room(roughness):

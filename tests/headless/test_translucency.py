@@ -17,8 +17,8 @@ from .test_direct_light import lamp, look, material, quad
 from .test_glass import slab
 
 SIZE = (48, 27)
-SPP = 2048
-SEEDS = 4
+SPP = 1024
+SEEDS = 8
 
 
 def paper():
