@@ -31,9 +31,9 @@ def evaluate_batch(
     """
     n = len(triangle)
     surfaces = np.empty((n, SURFACE), np.float32)
-    triangle = np.ascontiguousarray(triangle, np.int32)
-    u, v = np.ascontiguousarray(u, np.float32), np.ascontiguousarray(v, np.float32)
-    cosine = np.ascontiguousarray(np.broadcast_to(np.asarray(cosine, np.float32), n))
+    # Of one type, whatever is handed over, and writable, so that the kernel is compiled once.
+    materials, triangle = np.ascontiguousarray(materials, np.int32), np.ascontiguousarray(triangle, np.int32)
+    u, v, cosine = (np.array(np.broadcast_to(part, n), np.float32, order="C") for part in (u, v, cosine))
 
     def work(begin: int, end: int) -> None:
         evaluate_range(tables, materials, attributes, triangle, u, v, cosine, begin, end, surfaces)
