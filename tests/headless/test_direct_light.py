@@ -15,7 +15,7 @@ from lumigate.headless.reference import ReferenceSettings, render_layers
 
 ROUGHNESS = (0.0, 0.1, 0.3, 0.6, 1.0)
 SIZE = (100, 20)
-SEEDS = 16
+SEEDS = 8
 
 
 def material(name, **inputs):
@@ -92,7 +92,7 @@ def floor_means(direct):
 def test_lobes_of_every_roughness(settings, metallic):
     # Large lamps: what shadow rays and rays drawn from the lobe find adds up to the lamp's light, once.
     scene = floors(**settings, metallic=metallic)
-    reference, _ = render_layers(scene, ReferenceSettings(spp=384, size=SIZE, bounces=0))
+    reference, _ = render_layers(scene, ReferenceSettings(spp=192, size=SIZE, bounces=0))
     arrays = extract_scene(scene, size=SIZE)
     ours = [render(arrays, RenderSettings(method="instant-radiosity", bounces=0, seed=seed)).layers["Direct"] for seed in range(SEEDS)]
     means, expected = np.array([floor_means(layer) for layer in ours]), np.array(floor_means(reference["Direct"]))

@@ -211,9 +211,9 @@ METAL = {"Metallic": 1.0}
 def test_light_that_passes_glass_is_indirect_light(lamps, indirect, floor):
     scene = booths(lamps, **floor)
     identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "lamps": lamps, "floor": floor}
-    halves = cached_halves(scene, identity, size=(48, 16), spp=1024, bounces=4, seed=1)
+    halves = cached_halves(scene, identity, size=(48, 16), spp=512, bounces=4, seed=1)
     arrays = extract_scene(scene, size=(48, 16))
-    ours = [render(arrays, RenderSettings(seed=seed, denoise=False, direct_samples=16)).layers for seed in range(SEEDS)]
+    ours = [render(arrays, RenderSettings(seed=seed, denoise=False, direct_samples=8)).layers for seed in range(SEEDS)]
     for k, roof in enumerate(ROOFS):
         place = np.s_[3:13, 16 * k + 3 : 16 * k + 13]
         # Reflections to and fro within the slab are left out.

@@ -68,7 +68,7 @@ def court(roof, **seen_by):
 def test_either_kind_of_ray_brings_its_share_of_the_sky(roof, seen_by, method):
     scene = court(roof, **seen_by)
     identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "roof": roof, "seen": seen_by}
-    halves = cached_halves(scene, identity, size=(16, 16), spp=512, bounces=4, seed=1)
+    halves = cached_halves(scene, identity, size=(16, 16), spp=256, bounces=4, seed=1)
     arrays = extract_scene(scene, size=(16, 16))
     ours = [render(arrays, RenderSettings(seed=seed, denoise=False, method=method, direct_samples=32)).layers for seed in range(SEEDS)]
     for name in ("Direct", "DiffuseIndirect"):
@@ -115,7 +115,7 @@ def behind_glass(lamp_type):
 def test_lamps_shine_twice_through_glass_that_is_none_to_shadow_rays(lamp_type):
     """By shadow rays, which meet nothing, as direct light; and whole by rays scattered beyond the glass, as indirect light."""
     scene = behind_glass(lamp_type)
-    reference, _ = render_layers(scene, ReferenceSettings(spp=512, size=(16, 12), bounces=2))
+    reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=(16, 12), bounces=2))
     arrays = extract_scene(scene, size=(16, 12))
     ours = [
         render(arrays, RenderSettings(seed=seed, denoise=False, method="importance-sampling", bounces=2)).layers for seed in range(SEEDS)

@@ -103,7 +103,7 @@ def room(kind, build, *, shiny=False, seen=False, **settings):
     return scene
 
 
-def compared(scene, spp=256, seeds=3):
+def compared(scene, spp=256, seeds=2):
     """Layers by Cycles and the mean of ours."""
     reference, _ = render_layers(scene, ReferenceSettings(spp=spp, size=SIZE, bounces=2))
     arrays = extract_scene(scene, size=SIZE)
@@ -129,7 +129,7 @@ LAMPS = {
 @pytest.mark.parametrize("name", LAMPS)
 def test_the_light_of_each_lamp(name):
     kind, build, settings = LAMPS[name]
-    reference, ours = compared(room(kind, build, **settings))
+    reference, ours = compared(room(kind, build, **settings), seeds=4 if name == "by the place" else 2)  # noisier than the others
     for layer, tolerance in (("Direct", 0.01), ("DiffuseIndirect", 0.02)):
         assert ours[layer].mean(dtype=float) == pytest.approx(reference[layer].mean(dtype=float), rel=tolerance)
         for c in range(3):
@@ -144,7 +144,7 @@ def test_the_light_of_each_lamp(name):
 def test_what_is_seen_of_a_lamp(kind):
     size = dict(shadow_soft_size=0.3, use_soft_falloff=False) if kind == "POINT" else dict(size=0.8)
     build = gobo("ShaderNodeTexCoord", "Normal") if kind == "POINT" else gobo(None, None)
-    reference, ours = compared(room(kind, build, shiny=True, seen=True, **size), spp=1024)
+    reference, ours = compared(room(kind, build, shiny=True, seen=True, **size), spp=512, seeds=3)
     assert reference["Direct"].max() > 5  # the mirror shows it
     for layer in ("Direct", "Emission", "GlossyIndirect"):
         for c in range(3):
