@@ -20,7 +20,7 @@ from lumigate.headless.cache import cached_halves, scene_identity
 SCENES = {
     "cornell": ((64, 64), 128, 0.01, 0.01, 0.02),
     "corridor": ((64, 36), 192, 0.01, 0.08, 0.3),
-    "atrium": ((64, 36), 192, 0.01, 0.01, 0.08),
+    "atrium": ((48, 27), 192, 0.01, 0.01, 0.08),
 }
 SEEDS = (1, 2, 3, 4)
 
