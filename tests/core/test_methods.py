@@ -55,8 +55,8 @@ def test_glossy_sphere_interior(build, method, bounces, roughness):
     )
     # Those of virtual area lights are the first of their sequence, not the best of eight times as many: more noise from as many.
     vpls = 4096 if method == "virtual-area-lights" else 1024
-    # Pictures of one seed deviate by .8 %.
-    seeds = 8 if method == "importance-sampling" else 4
+    # Pictures of one seed deviate by .8 %, of narrow lobes by .4 %.
+    seeds = 8 if method == "importance-sampling" and roughness > 0.1 else 4
     pictures = [
         render(
             scene, RenderSettings(method=method, vpls=vpls, bounces=bounces, pixel_samples=1, direct_samples=16, reflections=8, seed=seed)
