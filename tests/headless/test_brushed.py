@@ -42,7 +42,7 @@ def pictures(request):
         bpy.context.object.data.materials.append(material("Varnish", Base_Color=(0.5, 0.5, 0.5, 1), Roughness=0.6))
     lamp(scene, "AREA", (0, 0, 1.5), energy=100.0, size=0.8)
     look(scene, (0, -2, 0), (np.radians(93 if alone else 80), 0, 0), lens=20)
-    reference, _ = render_layers(scene, ReferenceSettings(spp=512, size=SIZE, bounces=4))
+    reference, _ = render_layers(scene, ReferenceSettings(spp=256, size=SIZE, bounces=4))
     arrays = extract_scene(scene, size=SIZE)
     ours = [
         render(arrays, RenderSettings(method="importance-sampling", bounces=4, seed=seed, denoise=False)).layers for seed in range(SEEDS)
