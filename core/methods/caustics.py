@@ -102,7 +102,8 @@ class Photons(NamedTuple):
     side to which it reflects; 0 without one.  flux: (P, 3) float32, W.  side: (P,) float32, 1 where the normal is their triangle's own, else -1.
     group: (P,) int32, their lamps' light groups.  metal: (P,) uint8, whether metal reflected them.  narrow: (P,) float32, by how much narrower it is
     than virtual lights can tell, by `particles.BLUR`: 0 to 1.  followed: (P,) uint8, whether rays that meet the lobe follow it.
-    lobes: (P,) uint8, how many lobes have reflected it, one after the other.  blur: (P,) float32, how far frosted glass has spread the light of which it is a part (m).
+    lobes: (P,) uint8, how many lobes have reflected it, one after the other; 1 where a pane of frosted glass has scattered it.
+    blur: (P,) float32, how far frosted glass has spread the light of which it is a part (m).
     """
 
     position: np.ndarray
@@ -273,7 +274,10 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 bends = glasses > 0 and (is_lens(glasses, x, y, z, ax, ay, az) or (kind != WORLD and not lobes and is_sheet(sheets)))
                 if not lobes and kind != WORLD:
                     # As `surfaces.visibility.transmittance1` has it.
-                    bends = strayed >= SCATTERING * (_1 if kind == SUN else flown - before) or (bends and not sizeless)
+                    scattering = strayed > _0 and strayed >= SCATTERING * (_1 if kind == SUN else flown - before)
+                    if scattering and not bends:  # else it is a lens or a sheet, through which wide lobes look themselves
+                        met = 1
+                    bends = scattering or (bends and not sizeless)
                 # What is within a solid is lit by straight rays.
                 if not receives or (flags & REFRACTIVE and (thrown or not lobes)) or (not thrown and flown < before + near):
                     break
@@ -782,7 +786,7 @@ def _light(scene, caustics, points, lit, begin, end, seed, tested, every, near, 
                     found[n, c] += r
                     found[n, c + 1] += g
                     found[n, c + 2] += b
-                    if wide and (photons.lobes[p] > 0 or photons.blur[p] > _0):
+                    if wide and photons.lobes[p] > 0:
                         ex, ey, ez = photons.entry[p, 0] - x, photons.entry[p, 1] - y, photons.entry[p, 2] - z
                         if ex * ex + ey * ey + ez * ez > least * least:
                             lr, lg, lb, _ = lobe_value(lobe, -dx, -dy, -dz)

@@ -107,7 +107,7 @@ def test_wide_lobes_show_what_lobes_throw_and_frosted_glass_scatters_but_not_wha
     shines = {}
     with ExitStack() as stack:
         scene = tables_of(build, stack, square(build, 1.0, height=-99.0))
-        for name, lobes, blur in (("bent", 0, 0), ("scattered", 0, 1e-4), ("thrown", 1, 0)):
+        for name, lobes, blur in (("bent", 0, 0), ("scattered", 1, 1e-4), ("thrown", 1, 0)):
             photons.lobes[:], photons.blur[:] = lobes, blur
             out, shown = np.zeros((2, len(points.pixel), 3), np.float32)
             add_caustics(scene, arranged(photons, NEAREST), points, 1, 2, out, shown)
