@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..jit import kernel, leaf
+from ..jit import inlined, kernel, leaf
 from ..lamps.direct import set_point_lobe
 from ..rays.offsets import hit_point, offset_origin
 from ..rays.packet import new_packet
@@ -16,8 +16,9 @@ from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import DIFFUSE, GLOSSY, REFRACTIVE
 from ..surfaces.bumps import mean_shadowing
-from ..surfaces.layout import SURFACE, TILT, diffuse_albedo
-from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, goes_past, lobe_cosine, sample_above
+from ..surfaces.layout import DIFFUSE as SURFACE_DIFFUSE
+from ..surfaces.layout import GLOSS, GLOSSY_F0, GLOSSY_F90, ROUGHNESS, SURFACE, TILT, TRANSLUCENCY, diffuse_albedo
+from ..surfaces.lobes import ALBEDO, ALPHA, LOBE, goes_past, lobe_cosine, sample_above, sample_lobe, set_lobe
 from ..surfaces.normals import mapped_normal, shading_normal, surface_side
 from ..surfaces.program import new_registers
 from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
@@ -26,11 +27,13 @@ from ..transport import Transport
 from ..view.points import ShadingPoints
 from .light_cache import DEPTH, DIFFUSE_LINK, GLOSSY_LINK, TRANSLUCENT_LINK, Probes, unknown_paths
 from .tails import DIMENSIONS, scatter_light
+from .wide_lobes import NARROW
 
 # (scene, points, paths, seed, threads, progress) -> probes along about as many paths from the points, and the rays traced.
 Tracer = Callable[[Transport, ShadingPoints, int, int, int, Progress | None], tuple[Probes, int]]
 
 CHUNK = 512  # paths a chunk
+MOST_MIRRORS = 4  # inner sides of panes that one link goes by, one after the other
 FARTHEST = 8  # probes of a path that is followed on
 FEWER, MOST_TURNS = 1 / 16, 32  # of all paths are followed on at most, and each so many times
 IMPORTANT = 0.1  # of the direct light that all probes tell: where those beyond tell so much, all turns are worth it
@@ -39,6 +42,15 @@ LAMP_RAYS = 4  # shadow rays of a probe: what is stored serves many
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _THIRD = np.float32(1 / 3)
+
+
+@inlined
+def _is_matt_black(surface):
+    """Whether a surface scatters nothing diffusely."""
+    most = _0
+    for c in range(3):
+        most = max(most, surface[SURFACE_DIFFUSE + c], surface[TRANSLUCENCY + c])
+    return not most > _0
 
 
 @leaf
@@ -73,26 +85,52 @@ def _probe_path(scene, packet, rows, surface, lobe, probes, first, depth, points
     if gx * dx + gy * dy + gz * dz <= _0:
         return 0
     in_glass = False
-    rays = 0
+    rays = mirrors = 0
     for vertex in range(depth + 1):
         at = (vertex + 1) * DIMENSIONS
         probe = first + vertex
         if vertex == DEPTH:
             seed = hash_combine(seed, turn)
-        ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
-        rays += 1
-        triangle, u, v, t, r, g, b, _, entered = nearest_surface(
-            scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), kinds, seed, path, at + 8, entered
-        )
-        if triangle < 0:
-            return rays
-        x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
-        sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
-        sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
-        behind = gx * dx + gy * dy + gz * dz > 0
-        side = surface_side(scene.materials, scene.material[triangle], behind)
-        if behind:
-            gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+        own = seed
+        while True:
+            ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
+            rays += 1
+            triangle, u, v, t, r, g, b, _, entered = nearest_surface(
+                scene, packet, rows, surface, ox, oy, oz, dx, dy, dz, np.float32(np.inf), kinds, own, path, at + 8, entered
+            )
+            if triangle < 0:
+                return rays
+            x, y, z, gx, gy, gz, error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
+            sx, sy, sz = shading_normal(scene.corner_normals, triangle, u, v, gx, gy, gz)
+            sx, sy, sz = mapped_normal(scene.materials, scene.material[triangle], surface, sx, sy, sz)
+            behind = gx * dx + gy * dy + gz * dz > 0
+            side = surface_side(scene.materials, scene.material[triangle], behind)
+            if behind:
+                gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+            # A cell of a pane knows what it mirrors to those who have met it, at other angles than the next ones do: a link goes on to what it mirrors.
+            if (
+                vertex == 0
+                or mirrors == MOST_MIRRORS
+                or not (
+                    encloses(scene.materials.flags[scene.material[triangle]], behind)
+                    and surface[ROUGHNESS] < NARROW
+                    and _is_matt_black(surface)
+                )
+            ):
+                break
+            mirrors += 1
+            set_lobe(
+                lobe, sx, sy, sz, gx, gy, gz, -dx, -dy, -dz, surface[ROUGHNESS], surface[GLOSSY_F0], surface[GLOSSY_F0 + 1], surface[GLOSSY_F0 + 2],
+                surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2], surface[GLOSS], surface[GLOSS + 1], surface[GLOSS + 2], surface[GLOSS + 3],
+            )  # fmt: skip
+            own = hash_combine(seed, np.uint32(mirrors))
+            u1, u2 = uniform(own, path, at, 6), uniform(own, path, at, 7)
+            dx, dy, dz, kr, kg, kb, _ = sample_lobe(lobe, u1, u2)
+            if gx * dx + gy * dy + gz * dz <= _0 or not max(kr, kg, kb) > _0:
+                return rays
+            probes.carry[probe - 1, 0] *= r * kr
+            probes.carry[probe - 1, 1] *= g * kg
+            probes.carry[probe - 1, 2] *= b * kb
         if vertex > 0:
             link = probe - 1
             probes.link[link] = DIFFUSE_LINK if kinds == DIFFUSE else GLOSSY_LINK if kinds == GLOSSY else TRANSLUCENT_LINK

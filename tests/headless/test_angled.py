@@ -13,6 +13,7 @@ from lumigate.addon.extract import extract_scene
 from lumigate.core.pipeline import render
 from lumigate.core.settings import RenderSettings
 from lumigate.headless.cache import cached_halves
+from lumigate.headless.reference import ReferenceSettings, render_layers
 
 from .test_direct_light import lamp, look, material, quad
 from .test_glass import slab
@@ -138,3 +139,20 @@ def test_light_goes_on_below_a_culled_roof_as_in_cycles(turned):
     halves, ours = rendered(scene, METHODS, "DiffuseIndirect", name="under", turned=turned)
     for method in METHODS:
         agree(halves, ours[method])
+
+
+def test_what_the_inner_side_of_a_pane_mirrors_grows_by_each_bounce_as_in_cycles():
+    """Beyond the critical angle all of it.  Cells of the pane knew what it mirrors to those who had met it, at other angles than the next ones: a third too much after four bounces."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    white = material("White", Base_Color=(0.8, 0.8, 0.8, 1), Specular_IOR_Level=0.0)
+    quad(scene, [(-30, -30, 0), (30, -30, 0), (30, 30, 0), (-30, 30, 0)], white)
+    quad(scene, [(-30, -30, 0.5), (30, -30, 0.5), (30, 30, 0.5), (-30, 30, 0.5)], pane())
+    lamp(scene, "SUN", (0, 0, 9), (0.5, 0, 0), energy=3.0, angle=0.02)
+    look(scene, (0, 0, 0.4), (1.4, 0, 0), lens=24)
+    size = (16, 9)
+    reference, _ = render_layers(scene, ReferenceSettings(spp=128, size=size))
+    arrays = extract_scene(scene, size=size)
+    settings = RenderSettings(method="importance-sampling", denoise=False)
+    ours = [render(arrays, replace(settings, seed=seed)).layers["DiffuseIndirect"].mean() for seed in range(2)]
+    assert np.mean(ours) == pytest.approx(reference["DiffuseIndirect"].mean(), rel=0.09)
