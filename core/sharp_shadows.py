@@ -12,8 +12,9 @@ from .jit import kernel
 from .threads import run_chunks
 
 # Of rays to a small lamp, lit or not by chance, the fewest whose own difference tells their variance; that of fewer, by Jeffreys' prior; the pixels along a side in which
-# it is compared; and what number of rays is as good as any.
-TELLING, FEW_RAYS, COMPARED, MOST_RAYS = np.float32(2.0), np.float32(3 / 16), 5, np.float32(4096.0)
+# it is compared, or in which some must be lit where none are; and what number of rays is as good as any.
+TELLING, FEW_RAYS, COMPARED, FARTHER, MOST_RAYS = np.float32(2.0), np.float32(3 / 16), 5, 9, np.float32(4096.0)
+LEAST_LIT = np.float32(1e-5)  # of the rays there: less is what sums along rows leave
 
 
 class SharpLight(NamedTuple):
@@ -37,11 +38,13 @@ def give_shadows_back(clean: np.ndarray, light: SharpLight, threads: int) -> Non
 
     Shadows of leaves, which a denoiser takes for noise, differ from what it makes of them by more than their rays' noise, wide penumbras by less.
     """
-    planes = np.empty((4, *clean.shape[:2]), np.float32)
+    planes = np.empty((5, *clean.shape[:2]), np.float32)
     run_chunks(
         lambda begin, end: _tell_noise(light.lit, clean, light.unshadowed, light.doubt, begin, end, *planes), len(clean), ROWS, threads
     )
-    noise, lacking, lit, rays = (uniform_filter(plane, COMPARED, mode="nearest") for plane in planes)
+    noise, supposed, lacking, lit, rays = (uniform_filter(plane, COMPARED, mode="nearest") for plane in planes)
+    # Where few rays in a hundred find light, as through blinds, none of those around may have found any, which tell of no noise then; but some do farther off.
+    np.maximum(noise, supposed, out=noise, where=uniform_filter(planes[3], FARTHER, mode="nearest") > LEAST_LIT)
     # Rays are in strata, few of which the bounds of shadows cross: noise falls with the root of their number as well, of those that tell what few do.
     noise /= np.sqrt(np.maximum(rays * np.minimum(lit, 1 - lit), 1))
     kept = np.zeros_like(noise)
@@ -53,15 +56,15 @@ def give_shadows_back(clean: np.ndarray, light: SharpLight, threads: int) -> Non
 
 
 @kernel
-def _tell_noise(sharp, clean, unshadowed, doubt, begin, end, noise, lacking, lit, rays):
-    """Rows of (H, W): the variance of `sharp` as a part of `unshadowed`, and the square of what `clean` lacks of it, each of all channels together; the lit part of
+def _tell_noise(sharp, clean, unshadowed, doubt, begin, end, noise, supposed, lacking, lit, rays):
+    """Rows of (H, W): the variance of `sharp` as a part of `unshadowed`, that if `clean` is right, and the square of what `clean` lacks of it, each of all channels together; the lit part of
     the rays, and their number.
 
     Lit or not is all that rays to a small lamp tell, so that the variance is that of a binomial distribution, told without bias by the rays themselves.
     """
     for y in range(begin, end):
         for x in range(sharp.shape[1]):
-            noise[y, x] = lacking[y, x] = lit[y, x] = rays[y, x] = np.float32(0.0)
+            noise[y, x] = supposed[y, x] = lacking[y, x] = lit[y, x] = rays[y, x] = np.float32(0.0)
             for c in range(3):
                 whole = unshadowed[y, x, c]
                 part = sharp[y, x, c] / whole
@@ -69,6 +72,10 @@ def _tell_noise(sharp, clean, unshadowed, doubt, begin, end, noise, lacking, lit
                     continue
                 part, n = min(part, np.float32(1.0)), min(whole / doubt[y, x, c], MOST_RAYS)
                 noise[y, x] += part * (np.float32(1.0) - part) / (n - np.float32(1.0)) if n >= TELLING else FEW_RAYS
+                told = clean[y, x, c] / whole
+                if told >= 0:
+                    told = min(told, np.float32(1.0))
+                    supposed[y, x] += told * (np.float32(1.0) - told) / n
                 lack = abs(sharp[y, x, c] - clean[y, x, c]) / whole
                 if lack > 0:  # beside light that the denoiser has smeared, no more than all
                     lacking[y, x] += min(lack, np.float32(1.0)) ** 2

@@ -497,6 +497,16 @@ def test_rare_sunlight_leaves_no_white_dots(denoiser, rays):
     assert light.mean() == pytest.approx(float(whole.direct.mean()), rel=0.1)
 
 
+@pytest.mark.parametrize("rays", [3, 4])
+def test_rare_sunlight_has_no_holes_where_no_ray_found_it(denoiser, rays):
+    """Twenty-five pixels, none of which is lit by chance, tell of no noise: they were black amid others.  Where all around is dark, it stays so."""
+    share = np.full((96, 128), 0.03)
+    share[:, 64:] = 0
+    light = sunlit(share, rays)[1].denoised(denoiser, 2).direct[..., 0]
+    assert np.mean(light[8:-8, 8:48] < 0.005) < 0.002
+    assert light[:, 84:].max() < 1e-3
+
+
 def test_small_things_before_the_sky_keep_their_sunlight(denoiser):
     share = np.zeros((96, 128))
     share[8::16, 8::16] = 1  # a pixel each
