@@ -30,9 +30,9 @@ _REFINEMENTS = 32  # pictures whose mean a view that rests ends with
 # Of the steps before the full picture: size of a pixel, and what is computed for it.
 _COARSE, _FINE = 4, 1
 _MOVING = {"method": "fuzzy-clustering", "vpls": 1024, "vpl_clusters": 200, "point_clusters": 1500, "pixel_samples": 1, "direct_samples": 1,
-           "reflections": 1, "denoise": False}  # fmt: skip
+           "reflections": 1, "denoise": False, "downsampling": 1}  # fmt: skip
 _RESTING = {"pixel_samples": 1, "direct_samples": 1, "samples": 4, "gather": 2, "reflections": 1,
-            "light_groups": False}  # fmt: skip
+            "light_groups": False, "downsampling": 1}  # fmt: skip
 
 
 class _Eye(NamedTuple):

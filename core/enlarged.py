@@ -50,6 +50,28 @@ class Guides(NamedTuple):
         return Guides(*(np.ascontiguousarray(part) for part in (normal, position, depth, albedo + emission / (_1 + emission))))
 
 
+class Whole(NamedTuple):
+    """What the camera sees of a picture whose light comes from a smaller one, N points in (H, W, 3) float32.
+
+    gloss: what lobes reflect.  guide_albedo, guide_normal: of `denoising_guides`.  sharp: radiance of diffuse surfaces by lamps with sharp
+    shadows, as in `Picture`; None where it comes from the smaller picture, too.
+    """
+
+    seen: View
+    gloss: np.ndarray
+    guide_albedo: np.ndarray
+    guide_normal: np.ndarray
+    sharp: np.ndarray | None
+
+    @staticmethod
+    def of(seen: View, sharp: np.ndarray | None) -> Whole:
+        """sharp: irradiance (N, 3) at the points."""
+        points = seen.points
+        if sharp is not None:
+            sharp = splat(points, (points.behind_glass == 0)[:, None] * points.albedo * np.float32(1 / np.pi) * sharp, seen.shape)
+        return Whole(seen, splat(points, glossy_albedos(points), seen.shape), *denoising_guides(seen), sharp)
+
+
 @inlined
 def _near(distance):
     """Biweight kernel of a distance (pixels)."""
@@ -115,18 +137,18 @@ def _pixel_width(camera: Camera, small: Camera, depth: np.ndarray) -> np.ndarray
     return np.full_like(depth, across) if camera.orthographic else across * depth
 
 
-def enlarged(picture: Picture, seen: View, small: Camera, camera: Camera, threads: int = 0) -> Picture:
-    """The light of a denoised `picture` of the camera `small` in what the same `camera` has `seen` in a larger one.
+def enlarged(picture: Picture, whole: Whole, small: Camera, camera: Camera, threads: int = 0) -> Picture:
+    """The light of a denoised `picture` of the camera `small` in what the same `camera` sees of the `whole`.
 
-    picture: without what shines behind glass.  The means of its layers stay.  Guides and what passes alone know are gone: the result is to be
+    picture: without what shines behind glass.  Where `whole` knows it, light of lamps with sharp shadows is its own.  The means of its layers stay.  Guides and what passes alone know are gone: the result is to be
     looked at, not to be denoised or averaged.
     """
-    gloss = splat(seen.points, glossy_albedos(seen.points), seen.shape)
+    seen, gloss = whole.seen, whole.gloss
     small_gloss = np.zeros_like(picture.albedo) if picture.glossy_albedo is None else picture.glossy_albedo
-    guide_albedo, guide_normal = denoising_guides(seen)
-    own = [seen.albedo + gloss, seen.albedo, gloss + guide_albedo - seen.albedo]  # the last is what glass lets through
+    own = [seen.albedo + gloss, seen.albedo, gloss + whole.guide_albedo - seen.albedo]  # the last is what glass lets through
     by = [picture.albedo + small_gloss, picture.albedo, small_gloss + picture.guide_albedo - picture.albedo]
-    lights = [picture.direct, picture.diffuse_indirect, picture.glossy_indirect]
+    own_shadows = whole.sharp is not None and picture.sharp is not None
+    lights = [picture.direct - picture.sharp if own_shadows else picture.direct, picture.diffuse_indirect, picture.glossy_indirect]
     parts = lights + by
     parts += [part for light in picture.groups.values() for part in (light.direct, light.diffuse_indirect + light.glossy_indirect)]
     values = np.concatenate(parts, axis=2)
@@ -144,6 +166,8 @@ def enlarged(picture: Picture, seen: View, small: Camera, camera: Camera, thread
         return light * mean_factor(lights[k], light, threads)
 
     direct, diffuse, glossy = (modulated(k) for k in range(3))
+    if own_shadows:
+        direct += whole.sharp
     # Lamps and skies behind glass are as sharp as what is in front of it.
     direct, glossy = direct + seen.emission_behind_one, glossy + seen.emission_behind_more
     return replace(
@@ -154,8 +178,8 @@ def enlarged(picture: Picture, seen: View, small: Camera, camera: Camera, thread
         albedo=seen.albedo,
         emission=seen.emission,
         normal=seen.normal,
-        guide_albedo=guide_albedo,
-        guide_normal=guide_normal,
+        guide_albedo=whole.guide_albedo,
+        guide_normal=whole.guide_normal,
         foreseen=np.zeros_like(diffuse),
         position=seen.position,
         depth=seen.depth,

@@ -632,25 +632,32 @@ def trace_particles(
 
     The expected irradiance of the VPLs is exactly that of light which left 1 to `bounces` surfaces.
     """
-    return _fly(scene, particles, bounces, seed, threads, progress, by_power=False)
+    return _fly(scene, particles, bounces, seed, threads, progress, by_power=False, sharpest=0.0)
 
 
 def trace_by_power(
-    scene: Transport, particles: int, bounces: int, seed: int, threads: int = 0, progress: Progress | None = None
+    scene: Transport,
+    particles: int,
+    bounces: int,
+    seed: int,
+    threads: int = 0,
+    progress: Progress | None = None,
+    *,
+    sharpest: float = SHARPEST,
 ) -> tuple[Vpls, int]:
     """The same light by VPLs that are more alike: which particles go on is told by what each has kept, not by its number.
 
     Where most particles land on something dark, as from a sun on the ground around a house, few go on by number, and the
     later bounces are a few lights of 10 to 100 times the power of the others.  What a particle has kept of its birth's light
     counts, not what it carries: where lamps are `focused`, those that are wanted are born with the least.  Glossy reflections have a
-    `sharpness`, which not all methods shade by.
-    Arguments and values as `trace_particles`.
+    `sharpness`, `sharpest` at most: 0 for methods that do not shade by it.
+    Other arguments, and values, as `trace_particles`.
     """
-    return _fly(scene, particles, bounces, seed, threads, progress, by_power=True)
+    return _fly(scene, particles, bounces, seed, threads, progress, by_power=True, sharpest=sharpest)
 
 
 def _fly(
-    scene: Transport, particles: int, bounces: int, seed: int, threads: int, progress: Progress | None, *, by_power: bool
+    scene: Transport, particles: int, bounces: int, seed: int, threads: int, progress: Progress | None, *, by_power: bool, sharpest: float
 ) -> tuple[Vpls, int]:
     chunk = 1024
     seed, none = np.uint32(seed), np.float32(0)
@@ -674,7 +681,7 @@ def _fly(
 
     def work(begin, end):
         room = Vpls.allocate((end - begin) * surfaces)
-        n, rays, *_ = _trace_particles(scene, begin, end, survivors, least, SHARPEST if by_power else none, bounces, seed, room)
+        n, rays, *_ = _trace_particles(scene, begin, end, survivors, least, np.float32(sharpest), bounces, seed, room)
         return room.take(slice(0, n)), rays
 
     parts = run_chunks(work, particles, chunk, threads, progress)

@@ -233,23 +233,26 @@ class Picture:
             light = cleaned(self.glossy_indirect, self._glossy_guide(guide), clean_aux=is_clean, normal=self.guide_normal)
             found["glossy_indirect"] = light if self.glossy_albedo is None else self._off_matt(light)
         if direct and self.direct.any():
-            found["direct"] = self._direct_cleaned(cleaned, QUICKER.get(quality, quality), threads)
+            found["direct"], found["sharp"] = self._direct_cleaned(cleaned, QUICKER.get(quality, quality), threads)
         return replace(self, **found)
 
-    def _direct_cleaned(self, cleaned: Callable[..., np.ndarray], quality: str | None, threads: int) -> np.ndarray:
-        """The direct light without noise; sharp shadows are denoised apart, for they go with the noise of other lamps."""
+    def _direct_cleaned(
+        self, cleaned: Callable[..., np.ndarray], quality: str | None, threads: int
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """The direct light without noise, and what of it has sharp shadows: it is denoised apart, for they go with the noise of other lamps."""
         if self.shine is not None:
             matt = replace(self, direct=self.direct - self.shine, shine=None)
-            return self.shine + (matt._direct_cleaned(cleaned, quality, threads) if matt.direct.any() else matt.direct)
+            clean, sharp = matt._direct_cleaned(cleaned, quality, threads) if matt.direct.any() else (matt.direct, matt.sharp)
+            return self.shine + clean, sharp
         if self.sharp is None:
-            return cleaned(self.direct, self.albedo, quality, highlights=True)
+            return cleaned(self.direct, self.albedo, quality, highlights=True), None
         soft = self.direct - self.sharp
         if not largest(soft).max() <= LEAST_SOFT * self.sharp.mean():  # nor where that is no number
             soft = cleaned(soft, self.albedo, quality, highlights=True)
         sharp = cleaned(self.sharp, self.albedo, quality, highlights=True)
         if self.unshadowed is not None:
             give_shadows_back(sharp, SharpLight(self.sharp, self.unshadowed, self.doubt), threads)
-        return soft + sharp
+        return soft + sharp, sharp
 
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
         """The albedo with what narrow lobes show, of which few rays have told, and whether it is free of noise."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from .coincident import covered_places, warning_line
 from .denoise import Denoiser
-from .enlarged import enlarged
+from .enlarged import Whole, enlarged
 from .lamps import DirectLight, LightGroups, sharp_emitters, world_tables
 from .layers import Layers
 from .memory import check_memory
@@ -39,6 +39,7 @@ from .stages import (
     method_of,
     prepared,
     refractive,
+    sharp_light,
     side_by_side,
     single_lights,
     within_reach,
@@ -286,25 +287,43 @@ def _passes(
     denoiser: Denoiser | None,
     topologies: Topologies,
     elapsed: Callable[[], float],
-) -> tuple[Passes, Camera, View | None]:
+) -> tuple[Passes, Camera, Whole | None]:
     """All passes of a picture, and those that stand for the frames before the first one of a sequence.
 
     Also the camera of the passes, and, where it is a smaller one, what the scene's own sees.
     """
+
+    def look(run: Run) -> Whole:
+        fewer = replace(settings, pixel_samples=min(settings.pixel_samples, ENLARGED_SAMPLES))
+        seen = _look(run, full, tables, fewer, threads)
+        return Whole.of(seen, sharp_light(run, tables, seen.points, settings, threads))
+
     run.groups = _light_groups(run, scene, settings)
     with prepared(run, scene, settings, threads, topologies) as tables:
         planner = run.planner = _planner(run, scene, tables, settings, threads)
         _fly(run, planner, scene, tables, denoiser, threads, elapsed)
         full, whole = scene, None
-        if not (run.sequence or settings.debug_layers):
+        if run.sequence or settings.debug_layers:
+            if settings.downsampling > 1:
+                run.warn("every pixel is lit: sequences and debug layers know no downsampling")
+        else:
             scene = replace(scene, camera=planner.lit_camera(scene.camera, elapsed()))
-        if planner.lit:
-            whole = _look(run, full, tables, replace(settings, pixel_samples=min(settings.pixel_samples, ENLARGED_SAMPLES)), threads)
+        if planner.lit and settings.time_budget is not None:  # what that costs tells how large a picture can be lit
+            whole = look(run)
         passes = Passes(threads)
         quality = planner.first(elapsed())
         while quality is not None:
             start = elapsed()
-            passes.add(_pass(run, scene, tables, settings.scaled(quality, passes.count), threads, quality, shining=whole is None))
+            asked = settings.scaled(quality, passes.count)
+
+            def light(run: Run, scene=scene, asked=asked, quality=quality) -> Picture:
+                return _pass(run, scene, tables, asked, threads, quality, shining=planner.lit is None)
+
+            if planner.lit and whole is None:
+                picture, whole = side_by_side(run, threads, light, look)
+                passes.add(picture)
+            else:
+                passes.add(light(run))
             planner.observe(quality, elapsed() - start)
             larger = planner.larger_camera(full.camera, elapsed()) if whole else None
             if larger:
@@ -389,10 +408,13 @@ def _pass(
         with run.stage("direct") as tick:
             return direct_stage(run, scene, tables, points, settings, threads, tick, sampler, few.index if few else None)
 
-    def indirect_of(run: Run, sampler: ImportanceSampling | None) -> tuple[np.ndarray, np.ndarray | None]:
+    def indirect_of(run: Run, sampler: ImportanceSampling | None) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
         if not wants_indirect:
-            return tables.emitters.no_light(len(lit.pixel)), None
-        indirect, vpls = indirect_stage(run, tables, lit, seen.shape[1], settings, threads, sampler, glossy=lobes)
+            return tables.emitters.no_light(len(lit.pixel)), None, None
+        found = indirect_stage(
+            run, tables, lit, seen.shape[1], settings, threads, sampler, glossy=lobes, denoised=settings.denoise and run.sequence is None
+        )
+        indirect, vpls = found.irradiance, found.vpls
         run.vpls += len(vpls.bounce)
         foreseen = None
         if sampler and sampler.lights is not None and settings.denoise:
@@ -403,7 +425,7 @@ def _pass(
             run.debug = single_lights(tables, vpls, lit, seen.shape, threads)
             if run.clusters is not None:
                 run.debug |= run.clusters.debug_layers(lit, seen.shape)
-        return indirect, foreseen
+        return indirect, foreseen, found.noisy
 
     def glossy(run: Run, sampler: ImportanceSampling | None) -> Reflections:
         if not wants_glossy:
@@ -416,16 +438,18 @@ def _pass(
 
     if not settings.smooth:  # direct light and reflections are told what the gather rays before them have found
         sampler = cache(run)
-        indirect, foreseen = indirect_of(run, sampler)
+        indirect, foreseen, noisy = indirect_of(run, sampler)
         light, mirrored = direct(run, sampler), glossy(run, sampler)
     elif bends_light(tables):  # the cache tells direct light where to look for what lenses throw
         sampler = cache(run)
-        (indirect, foreseen), (light, mirrored) = side_by_side(
+        (indirect, foreseen, noisy), (light, mirrored) = side_by_side(
             run, threads, lambda run: indirect_of(run, sampler), lambda run: (direct(run, sampler), glossy(run, sampler))
         )
     else:
         sampler, light = side_by_side(run, threads, cache, direct)
-        (indirect, foreseen), mirrored = side_by_side(run, threads, lambda run: indirect_of(run, sampler), lambda run: glossy(run, sampler))
+        (indirect, foreseen, noisy), mirrored = side_by_side(
+            run, threads, lambda run: indirect_of(run, sampler), lambda run: glossy(run, sampler)
+        )
     LOADED.add(settings.method)
     own = indirect
     if few:
@@ -437,7 +461,8 @@ def _pass(
     )  # fmt: skip
     smooth = None
     if settings.smooth:
-        smooth = splat(points, points.albedo * np.float32(1 / np.pi) * indirect * (points.behind_glass == 0)[:, None], seen.shape)
+        even = indirect if noisy is None else indirect - noisy
+        smooth = splat(points, points.albedo * np.float32(1 / np.pi) * even * (points.behind_glass == 0)[:, None], seen.shape)
     if foreseen is not None and run.sequence is None:
         by_glass = light.irradiance_by_glass
         if few:

@@ -86,7 +86,8 @@ class RenderSettings:
     """The request of one render; every field has the default of the command line.
 
     vpls: virtual point lights that the view uses.  bounces: diffuse bounces of the indirect light.
-    pixel_samples: primary samples a pixel, half as many where all is even and up to twice as many elsewhere.  direct_samples: shadow rays a shading point for `Direct`.
+    pixel_samples: primary samples a pixel, half as many where all is even and up to twice as many elsewhere.
+    downsampling: how many times smaller along each side the picture is that is lit (`core.enlarged`); a time, an error and sequences do without.  direct_samples: shadow rays a shading point for `Direct`.
     reflections: most rays drawn from the glossy lobe of a shading point.
     direct_samples, reflections, denoise: None lets the method choose (see `with_defaults`).  time_budget: seconds;
     target_error: relMSE.  quality: a key of `QUALITY_ERRORS`, which `auto` takes for its target error where neither is given.
@@ -108,6 +109,14 @@ class RenderSettings:
         "Primary samples of a pixel, for its edges and textures: half as many where all is even, up to twice as many elsewhere",
         least=1,
         usual=64,
+    )
+    downsampling: int = option(
+        1,
+        "Downsampling",
+        "Light a picture so many times smaller along each side, and spread its light by what every pixel sees; shadows of small lamps stay sharp. "
+        "For previews; 1 lights every pixel",
+        least=1,
+        most=8,
     )
     direct_samples: int | None = option(None, "Direct Samples", "Shadow rays of a shading point to the lamps", least=1, usual=64)
     reflections: int | None = option(None, "Reflections", "Most rays drawn from the glossy lobe of a shading point, 0 for none", usual=32)

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from .coincident import Coincident, coincident, without_reflection
 from .errors import SceneError
 from .inspection import foresee, savings
 from .jit import CompileTimer
-from .lamps import DirectLight, Emitters, LightGroups, build_emitters, direct_light, highlights
+from .lamps import DirectLight, Emitters, LightGroups, build_emitters, direct_light, highlights, sharp_emitters
 from .lamps.escapes import shadows_alike
 from .lamps.links import is_linked
 from .methods.area_shadows import area_lamps, direct_by_soft_maps
@@ -51,9 +51,13 @@ Here, Aside = TypeVar("Here"), TypeVar("Aside")
 
 AVAILABLE = ("instant-radiosity", "fuzzy-clustering", "virtual-area-lights", "visibility-gates", "importance-sampling")
 TURN = 32452843  # between the seeds of a sequence's turns
-FEW_BATCHES = 4  # of particles, for lights that are clustered: more of them cost time and leave the picture as it is
+FEW_BATCHES = 2  # of particles, for lights that are clustered: more of them cost time and leave the picture as it is
 CLUSTER_GATHER = 2  # gather rays of a cluster, for each that a point would get: its many points share what they find
+GATHER_POINTS = (
+    1 << 15
+)  # points that all get their gather rays where a denoiser lets each have its own; more of them share so many, one at least
 SHARERS = 8  # neighbouring clusters that share a shadow ray to a light which gives them little
+SHARP_RAYS = 1  # a point of a picture that takes other light from a smaller one, to each lamp with sharp shadows
 SMALL_CACHE = 0.25  # times the paths of the accurate method's smallest cache of light are a preview's
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
 # What only a render can count.
@@ -62,6 +66,14 @@ LEFT_OUT = {
     "lamps": "lamps and shining triangles in rooms with no way to what is seen",
     "vpls": "VPLs behind every visible point",
 }
+
+
+class IndirectLight(NamedTuple):
+    """Indirect irradiance at N points, (N, 3 G) for G light groups, the part of it that has noise where the rest has none, (N, 3) or None, and the VPLs that it came from."""
+
+    irradiance: np.ndarray
+    noisy: np.ndarray | None
+    vpls: Vpls
 
 
 @dataclass
@@ -249,8 +261,9 @@ def light_points(
     if run.topology is not None:
         tables = within_reach(run, tables, points)
     sampler = cache_stage(run, tables, points, settings, threads, texels=len(np.unique(points.pixel)))
-    indirect, vpls = indirect_stage(run, tables, points, None, settings, threads, sampler)
-    run.vpls += len(vpls.bounce)
+    found = indirect_stage(run, tables, points, None, settings, threads, sampler)
+    indirect = found.irradiance
+    run.vpls += len(found.vpls.bounce)
     if direct or refractive(tables):
         with run.stage("direct") as tick:
             light = direct_stage(run, scene, tables, points, settings, threads, tick, sampler)
@@ -263,6 +276,11 @@ def light_points(
 def refractive(tables: Transport) -> bool:
     """Whether lamps may shine through glass, which makes their light indirect light."""
     return bool((tables.materials.flags & REFRACTIVE).any())
+
+
+def is_seen_from(points: ShadingPoints) -> bool:
+    """Whether some of the points look otherwise from other sides."""
+    return has_lobes(points) or bool(points.rough.any() or points.sheen.any())
 
 
 def direct_stage(
@@ -310,7 +328,7 @@ def direct_stage(
             return light._replace(irradiance_by_glass=nothing, glossy_by_glass=nothing)
         return light
 
-    lobes = has_lobes(points) or bool(points.rough.any() or points.sheen.any())  # what looks otherwise from other sides
+    lobes = is_seen_from(points)
     if settings.visibility == "shadow-maps" and len(point_lamps(tables.emitters)):
         mapped, kinds = direct_by_maps, (POINT, SPOT)
     elif settings.soft_shadows and len(area_lamps(tables.emitters)):
@@ -354,6 +372,31 @@ def cache_stage(
     return sampler
 
 
+def sharp_light(run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> np.ndarray | None:
+    """Direct irradiance at the points by lamps with sharp shadows, (N, 3), as `direct_stage` tells it apart; None where it does not."""
+    if not (settings.denoise and settings.wants("Direct", "Combined")) or settings.visibility == "shadow-maps" or settings.soft_shadows:
+        return None
+    sharp = sharp_emitters(tables.emitters, settings.direct_samples)
+    if sharp is None:
+        return None
+    groups = tables.emitters.groups
+    groups = groups[(groups >= 0) & sharp[groups]]
+    only = tables._replace(emitters=tables.emitters._replace(groups=groups))
+    with run.stage("direct") as tick:
+        light, rays = direct_light(
+            only,
+            points,
+            SHARP_RAYS * len(groups),
+            settings.seed,
+            threads,
+            tick,
+            reflections=settings.reflections,
+            lobes=is_seen_from(points),
+        )
+    run.rays["shadow"] += rays
+    return light.irradiance.reshape(len(points.pixel), -1, 3).sum(axis=1)
+
+
 def glossy_stage(
     run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int, sampler: ImportanceSampling | None
 ) -> Reflections:
@@ -383,16 +426,19 @@ def indirect_stage(
     sampler: ImportanceSampling | None,
     *,
     glossy: bool = False,
-) -> tuple[np.ndarray, Vpls]:
-    """Indirect irradiance at the points (N, 3 G), and the VPLs that it came from; width: of the picture in pixels,
-    None where the points are not of one.  glossy: whether `glossy_stage` follows, and its lobes may share the rays."""
+    denoised: bool = False,
+) -> IndirectLight:
+    """Indirect light at the points; width: of the picture in pixels, None where the points are not of one.
+
+    glossy: whether `glossy_stage` follows, and its lobes may share the rays.  denoised: whether what is noisy may be told apart.
+    """
     nothing = tables.emitters.no_light(len(points.pixel))
     if settings.bounces < 1 or settings.vpls < 1:
         run.skip("vpls", "no bounces or no VPLs asked for")
-        return nothing, Vpls.allocate(0)
+        return IndirectLight(nothing, None, Vpls.allocate(0))
     if not points.albedo.any():
         run.skip("vpls", "every visible albedo is black")
-        return nothing, Vpls.allocate(0)
+        return IndirectLight(nothing, None, Vpls.allocate(0))
     accurate = sampler if settings.method == "importance-sampling" else None
     with run.stage("vpls") as tick:
         if accurate:
@@ -407,8 +453,20 @@ def indirect_stage(
         else:
             batches = FEW_BATCHES if settings.smooth else MOST_BATCHES
             wanted = run.topology and partial(reachable_vpls, run.topology, rooms_seen(run.topology, points))
+            aimed = tables._replace(emitters=sampler.emitters) if sampler else tables  # at what the cache says the view's light comes from
+            particles = partial(trace_by_power, sharpest=0.0) if settings.smooth else trace_particles  # lights more alike cluster better
             vpls, counts = vpl_pool(
-                tables, points, settings.vpls, settings.bounces, clamp_of, settings.seed, threads, tick, share=wanted, batches=batches
+                aimed,
+                points,
+                settings.vpls,
+                settings.bounces,
+                clamp_of,
+                settings.seed,
+                threads,
+                tick,
+                share=wanted,
+                batches=batches,
+                particles=particles,
             )
         run.rays["light"] += counts["light"]
         run.rays["shadow"] += counts["shadow"]
@@ -417,7 +475,7 @@ def indirect_stage(
             run.skip("vpls", f"{counts['useless']} of {counts['traced']} VPLs lie behind every visible point")
     if len(vpls.bounce) == 0 and not accurate:
         run.skip("vpls", "no lamp's light reaches a surface")
-        return nothing, Vpls.allocate(0)
+        return IndirectLight(nothing, None, Vpls.allocate(0))
     with run.stage("indirect") as tick:
         if accurate:
             irradiance = sampler.irradiance(
@@ -426,17 +484,21 @@ def indirect_stage(
             )  # fmt: skip
             run.rays["shadow"] += sampler.rays
             run.pairs += sampler.pairs
-            return irradiance, vpls
-        solver = _solver(run, settings, width, threads, sampler)
+            return IndirectLight(irradiance, None, vpls)
+        own_gather = max(1, min(settings.gather, round(settings.gather * GATHER_POINTS / len(points.pixel)))) if denoised else 0
+        solver = _solver(run, settings, width, threads, sampler, own_gather)
         solver.prepare(tables, vpls, points)
         irradiance = solver.irradiance(points, tick)
         run.rays["shadow"] += solver.rays
         run.pairs += solver.pairs
-    return irradiance, vpls
+    return IndirectLight(irradiance, solver.noisy if settings.smooth else None, vpls)
 
 
-def _solver(run: Run, settings: RenderSettings, width: int | None, threads: int, sampler: ImportanceSampling | None):
-    """What lights points by VPLs in every method but the accurate one; `run` keeps those whose clusters can be shown."""
+def _solver(run: Run, settings: RenderSettings, width: int | None, threads: int, sampler: ImportanceSampling | None, own_gather: int):
+    """What lights points by VPLs in every method but the accurate one; `run` keeps those whose clusters can be shown.
+
+    own_gather: gather rays of each point, of methods that otherwise share them; 0 where they are to be shared.
+    """
     common = {"bounces": settings.bounces, "seed": settings.seed, "threads": threads}
     compensation = settings.gather if settings.compensation else 0
     if settings.method == "fuzzy-clustering":
@@ -447,6 +509,7 @@ def _solver(run: Run, settings: RenderSettings, width: int | None, threads: int,
             weighting=settings.weighting,
             shade_with=settings.shade_with,
             compensation=CLUSTER_GATHER * compensation,
+            own_compensation=own_gather if compensation else 0,
             sharers=SHARERS,
             cache=sampler.cache if sampler else None,
             **common,

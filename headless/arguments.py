@@ -381,6 +381,14 @@ def _add_render_settings(parser: Parser) -> None:
         **keep,
         help=f"primary samples a pixel, half as many where all is even, up to twice as many elsewhere (default: {default.pixel_samples})",
     )
+    add(
+        "--downsampling",
+        type=count,
+        metavar="N",
+        **keep,
+        help="light a picture N times smaller along each side and spread its light by what every pixel sees, for previews "
+        f"(default: {default.downsampling}, every pixel is lit)",
+    )
     budget = parser.add_mutually_exclusive_group()
     budget.add_argument("--time-budget", type=positive, metavar="SECONDS", **keep, help="use as many samples as fit in this time")
     budget.add_argument("--target-error", type=positive, metavar="E", **keep, help="stop at this relMSE")

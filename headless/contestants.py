@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -47,9 +45,3 @@ def denoised(raw: Timed, request: ReferenceSettings, denoiser: Denoiser) -> Time
     """A picture of Cycles, denoised afterwards: the same as, and for the time of, a render with denoising."""
     layers = replace(raw.layers, arrays=dict(raw.layers))
     return Timed(raw.seconds + denoise_layers(layers, request, denoiser)["denoise"], layers)
-
-
-def median_of(repeats: int, work: Callable[[], Timed]) -> Timed:
-    """The last of several runs with the median of their seconds, after one that warms up."""
-    runs = [work() for _ in range(repeats + 1)][1:]
-    return Timed(statistics.median(run.seconds for run in runs), runs[-1].layers)

@@ -81,6 +81,7 @@ class FuzzyClustering:
     shade_with: `clusters` shades with one representative of each VPL cluster, which has the cluster's flux (Eq. 6);
         `vpls` with every VPL, clusters giving only visibility.
     compensation: gather rays a point cluster that give back the light taken by the clamp (0: none).
+    own_compensation: gather rays a point that do so instead, for whoever denoises what they find (`noisy`); 0 for clusters' rays.
     sharers: neighbouring point clusters that share one shadow ray to a light which gives them little; 1 for a ray each.  Only where `clusters` shade.
     cache: what is known of the light that surfaces send, where their paths may end.
 
@@ -96,6 +97,7 @@ class FuzzyClustering:
         weighting: str = "smooth",
         shade_with: str = "clusters",
         compensation: int = 8,
+        own_compensation: int = 0,
         sharers: int = 1,
         cache: LightCache | None = None,
         bounces: int = 4,
@@ -110,6 +112,7 @@ class FuzzyClustering:
         self.weighting = weighting
         self.shade_with = shade_with
         self.compensation = compensation
+        self.own_compensation = own_compensation
         self.sharers = sharers
         self.cache = no_cache() if cache is None else cache
         self.bounces = bounces
@@ -118,6 +121,7 @@ class FuzzyClustering:
         self.rays = 0
         self.pairs = 0
         self.view: ViewClusters | None = None  # of the last call of `irradiance`
+        self.noisy: np.ndarray | None = None  # (N, 3), the part of what that returned that has noise; None for none
 
     def prepare(self, scene: Transport, vpls: Vpls, points: ShadingPoints) -> None:
         """Takes the scene and clusters its VPLs; `points` only sets the scale of the clamp."""
@@ -127,14 +131,18 @@ class FuzzyClustering:
 
     def irradiance(self, points: ShadingPoints, progress: Progress | None = None) -> np.ndarray:
         """Indirect irradiance at N points, (N, 3) float32, W/m^2; zero where a coordinate is not finite."""
-        out = np.zeros((len(points.pixel), 3), np.float32)
+        out, self.noisy = np.zeros((len(points.pixel), 3), np.float32), None
         blocks = point_blocks(points.position, points.ns)
         if len(self.lights.power) == 0 or len(blocks) == 0:
             return out
         self.view = self._cluster_view(points, blocks)
         self._light(points, out, progress)
-        if self.compensation and np.isfinite(self.g_max):
-            self._give_back(points, out)
+        if np.isfinite(self.g_max):
+            if self.own_compensation:
+                self.noisy = self._given_back(points)
+                out += self.noisy
+            elif self.compensation:
+                self._give_back(points, out)
         self.pairs += len(out) * len(self.lights.power)
         return out
 
@@ -191,18 +199,29 @@ class FuzzyClustering:
             run_chunks(light, len(view.order), POINTS_A_CHUNK, self.threads, _part(progress, begin / clusters + half, half))
             begin = end
 
+    def _given_back(self, points: ShadingPoints) -> np.ndarray:
+        """The light that the clamp took (N, 3), found by each point's own rays."""
+        order = self.view.order
+        found = np.zeros((len(points.pixel), 3), np.float32)
+        found[order] = self._lost(_places(points, order), self.own_compensation)
+        return found
+
+    def _lost(self, at: ShadingPoints, samples: int) -> np.ndarray:
+        """What the clamp took from N points, (N, 3), by `samples` gather rays each."""
+        lost = np.zeros((len(at.position), 3), np.float32)
+
+        def gather(begin, end):
+            return compensate(self.scene, self.cache, at, begin, end, self.g_max, samples, self.bounces, np.uint32(self.seed + 1), lost)
+
+        self.rays += sum(run_chunks(gather, len(lost), POINTS_A_CHUNK, self.threads))
+        return lost
+
     def _give_back(self, points: ShadingPoints, out: np.ndarray) -> None:
         """Adds the light that the clamp took: a mean for each cluster, found at random members, blended like visibility."""
         view = self.view
         count = max(self.compensation, -(-FEWEST_RAYS // len(view.at)))
         at = _places(points, view.random_members(count, np.random.default_rng(self.seed)))
-        lost = np.zeros((len(at.position), 3), np.float32)
-
-        def gather(begin, end):
-            return compensate(self.scene, self.cache, at, begin, end, self.g_max, 1, self.bounces, np.uint32(self.seed + 1), lost)
-
-        self.rays += sum(run_chunks(gather, len(lost), POINTS_A_CHUNK, self.threads))
-        means = lost.reshape(-1, count, 3).mean(axis=1)
+        means = self._lost(at, 1).reshape(-1, count, 3).mean(axis=1)
         self._add_blend(self._smoothed(means), out)
 
     def _smoothed(self, values: np.ndarray) -> np.ndarray:

@@ -169,8 +169,15 @@ class Planner:
         self.pilot["seconds"] = clock() - begin
 
     def lit_camera(self, camera: Camera, elapsed: float) -> Camera:
-        """The camera of the picture that is lit: a smaller one where even the smallest pass of the whole would take longer than the budget."""
+        """The camera of the picture that is lit: a smaller one where that is asked for, or even the smallest pass of the whole would take longer than the budget."""
         budget = self.settings.time_budget
+        if self.settings.downsampling > 1 and budget is None and self.settings.target_error is None:
+            small = reduced(camera, max(1.0, min(self.settings.downsampling, min(sides(camera)) / FEWEST)))
+            if sides(small) != sides(camera):
+                self.whole = self.pixels
+                self._light(small)
+                self.reasons.append(f"{self.lit[0]}x{self.lit[1]} pixels are lit, as was asked for, and enlarged by what the camera sees")
+            return small
         if budget is None or elapsed + self._seconds_of(self.pixels) <= OVERTIME * budget:
             return camera
         self.whole, whole = self.pixels, self._seconds_of(self.pixels)
@@ -188,7 +195,7 @@ class Planner:
 
         camera: of the whole picture.  None where there is none, or none is asked for.
         """
-        if not self.lit:
+        if not self.lit or self.settings.time_budget is None:
             return None
         left = self.settings.time_budget - elapsed - self._enlarging
         larger = camera if self._seconds_of(math.prod(sides(camera))) <= left else self._fitting(camera, left)

@@ -11,6 +11,7 @@ from lumigate.core.film import Film
 from lumigate.core.pipeline import render
 from lumigate.core.planning.machine import Machine
 from lumigate.core.planning.planner import FEWEST, LEAST, Planner, reduced, sides
+from lumigate.core.scene import SUN
 from lumigate.core.settings import RenderSettings
 
 MACHINE = Machine(ray=1e-6, denoiser=0.01, denoiser_pixel=1e-6, threads=2)
@@ -161,3 +162,65 @@ def test_what_is_next_to_enlarging_is_left_of_a_budget(build):
     planner, *_ = lit(0.5 * whole, build)
     assert planner.finishing(LEAST) > planner.denoising_seconds("fast")
     assert planner.denoising_quality(LEAST, planner.settings.time_budget, "fast") == "fast"
+
+
+@pytest.fixture(scope="module")
+def stripes(build):
+    """A floor in the slanting light of a sun of half a degree, under a grating of eight bars just above it."""
+    floor = build.quads([(-2, -2, -2), (2, -2, -2), (2, 2, -2), (-2, 2, -2)])
+    bars = build.quads(*([(x, -0.8, -1.9), (x + 0.1, -0.8, -1.9), (x + 0.1, 0.8, -1.9), (x, 0.8, -1.9)] for x in np.linspace(-0.8, 0.7, 8)))
+    slant = np.array([0.6, 0.0, 0.8])
+    axes = np.stack([(0.8, 0, -0.6), (0, 1, 0), slant], axis=1)
+    sun = build.lamp(SUN, (3.0, 3.0, 3.0), axes=axes, angle=np.radians(0.5))
+    geometry = build.geometry(*build.join((*floor, 0), (*bars, 1)))
+    return build.scene(geometry, build.materials((0.5, 0.0), (0.5, 0.0)), lamps=sun, camera=build.camera(width=96, height=96, angle=0.9))
+
+
+@pytest.mark.parametrize("method", ["fuzzy-clustering", "importance-sampling"])
+def test_downsampling_leaves_the_shadows_of_small_lamps_sharp(stripes, method):
+    settings = RenderSettings(method=method, vpls=256, vpl_clusters=64, point_clusters=200, pixel_samples=4, seed=1)
+    whole, small = (render(stripes, replace(settings, downsampling=factor)) for factor in (1, 4))
+    assert small.stats["size"] == [96, 96] and small.stats["rays"]["shadow"] < whole.stats["rays"]["shadow"]
+    sharp, found = whole.layers["Direct"], small.layers["Direct"]
+    assert (
+        np.abs(found - sharp).mean() < 0.08 * sharp.mean()
+    )  # .056; .27 where shadows come from 24 x 24 pixels, .027 by another seed of all pixels
+    assert found.mean() == pytest.approx(float(sharp.mean()), rel=0.02)
+    assert small.layers["Indirect"].mean() == pytest.approx(float(whole.layers["Indirect"].mean()), rel=0.1)
+    combined = small.layers["Direct"] + small.layers["Indirect"] + small.layers["Emission"]
+    np.testing.assert_allclose(combined, small.layers["Combined"], rtol=1e-5)
+
+
+def test_a_furnace_of_fewer_pixels_is_as_bright_as_it_is(sphere):
+    result = render(
+        sphere, RenderSettings(method="fuzzy-clustering", downsampling=3, vpls=512, vpl_clusters=128, point_clusters=200, seed=1)
+    )
+    assert float(result.layers["Irradiance"].mean()) == pytest.approx(np.pi * sum(0.5**k for k in range(1, 5)), rel=0.02)
+
+
+def test_as_few_pixels_are_lit_as_are_asked_for(build):
+    camera = build.camera(width=480, height=270)
+    planner = Planner(RenderSettings(downsampling=3).with_defaults(), 480 * 270, None)
+    assert sides(planner.lit_camera(camera, 0.1)) == (160, 90) == planner.lit
+    assert "160x90" in planner.reasons[-1] and planner.larger_camera(camera, 0.2) is None
+    assert planner.first(0.2) == 1.0
+
+
+@pytest.mark.parametrize("goal", [{"time_budget": 30.0}, {"target_error": 0.01}])
+def test_a_goal_decides_alone_how_many_pixels_are_lit(build, goal):
+    camera = build.camera(width=480, height=270)
+    planner = Planner(RenderSettings(downsampling=3, **goal).with_defaults(), 480 * 270, MACHINE)
+    assert planner.lit_camera(camera, 0.1) is camera and planner.lit is None
+
+
+def test_a_picture_of_few_pixels_does_not_vanish(build):
+    camera = build.camera(width=2 * FEWEST, height=FEWEST)
+    planner = Planner(RenderSettings(downsampling=8).with_defaults(), 2 * FEWEST**2, None)
+    assert sides(planner.lit_camera(camera, 0.1)) == (2 * FEWEST, FEWEST) and planner.lit is None
+
+
+def test_debug_layers_are_of_all_pixels(stripes):
+    settings = RenderSettings(method="fuzzy-clustering", vpls=32, vpl_clusters=16, point_clusters=50, pixel_samples=1)
+    result = render(stripes, replace(settings, debug_layers=True, downsampling=2))
+    assert result.layers["PointClusters"].shape[:2] == (96, 96)
+    assert any("downsampling" in line for line in result.stats["warnings"])

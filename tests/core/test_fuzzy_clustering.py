@@ -5,18 +5,20 @@ import pytest
 
 from lumigate.core import scene as sc
 from lumigate.core.clustering import kmeans
-from lumigate.core.lamps import build_emitters
+from lumigate.core.lamps import build_emitters, world_tables
 from lumigate.core.methods import fuzzy_clustering
 from lumigate.core.methods.cluster_shading import quantised
 from lumigate.core.methods.fuzzy_clustering import FuzzyClustering
 from lumigate.core.methods.instant_radiosity import InstantRadiosity
-from lumigate.core.particles import Vpls
+from lumigate.core.particles import Vpls, trace_particles
 from lumigate.core.pipeline import render
 from lumigate.core.rays import RayScene
 from lumigate.core.settings import RenderSettings
+from lumigate.core.stages import Run, prepared
 from lumigate.core.surfaces.layout import TRANSPARENCY
 from lumigate.core.transport import transport
 from lumigate.core.view.points import ShadingPoints
+from lumigate.core.view.primary import view
 
 FLOOR = [(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)]
 SHELF = [(-0.5, -0.7, 1), (0.6, -0.7, 1), (0.6, 0.5, 1), (-0.5, 0.5, 1)]  # hides part of the ceiling from the floor
@@ -229,14 +231,45 @@ def sphere(build):
     return build.scene(build.geometry(*build.icosphere(4)), build.materials((0.5, 1.0)), camera=build.camera(width=24, height=24))
 
 
+@pytest.mark.parametrize("denoise", [True, False])  # by points' own gather rays and by clusters'
 @pytest.mark.parametrize("shade_with", ["vpls", "clusters"])
-def test_energy_in_a_closed_sphere(sphere, shade_with):
+def test_energy_in_a_closed_sphere(sphere, shade_with, denoise):
     settings = RenderSettings(
-        method="fuzzy-clustering", vpls=512, bounces=2, pixel_samples=1, seed=3, vpl_clusters=128, point_clusters=200, shade_with=shade_with
-    )
+        method="fuzzy-clustering", vpls=512, bounces=2, pixel_samples=1, seed=3, vpl_clusters=128, point_clusters=200, shade_with=shade_with,
+        denoise=denoise,
+    )  # fmt: skip
     result = render(sphere, settings)
     assert result.stats["method"] == "fuzzy-clustering"
     assert result.layers["Irradiance"].mean() == pytest.approx(np.pi * 0.75, rel=0.015)
+
+
+def test_points_own_gather_rays_find_what_clusters_rays_find(build):
+    # A floor and a wall that meet, lit by a lamp: the clamp takes most of the light near the corner.
+    walls = build.quads([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [(0, 0, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1)])
+    corner = build.scene(
+        build.geometry(*walls),
+        build.materials((0.8, 0.0)),
+        lamps=build.lamp(sc.POINT, (50.0, 50.0, 50.0), position=(0.6, 0.5, 0.6)),
+        camera=build.camera(position=(0.5, 0.5, 1.5), width=48, height=48, angle=0.7),
+    )
+    with prepared(Run(None), corner, RenderSettings(method="instant-radiosity").with_defaults(), 1) as tables:
+        seen = view(corner, tables.rays, world_tables(corner.world), 4, 0)
+        vpls, _ = trace_particles(tables, 256, 2, seed=1)
+        common = {"vpl_clusters": 64, "point_clusters": 100, "bounces": 2}
+        found = {}
+        for rays in (0, 16):
+            solver = FuzzyClustering(compensation=32, own_compensation=rays, **common)
+            solver.prepare(tables, vpls, seen.points)
+            solver.g_max = np.float32(0.5 * solver.g_max)
+            found[rays] = solver.irradiance(seen.points)
+        without = FuzzyClustering(compensation=0, **common)
+        without.prepare(tables, vpls, seen.points)
+        without.g_max = solver.g_max
+        smooth = without.irradiance(seen.points)
+    np.testing.assert_allclose(found[16] - solver.noisy, smooth, atol=1e-5 * smooth.max())
+    assert solver.noisy.min() >= 0 and solver.noisy.mean() > 0.05 * smooth.mean()
+    assert without.noisy is None
+    assert float(solver.noisy.mean()) == pytest.approx(float((found[0] - smooth).mean()), rel=0.1)
 
 
 @pytest.mark.parametrize("compensation", [True, False])
