@@ -296,7 +296,7 @@ def _passes(
     def look(run: Run) -> Whole:
         fewer = replace(settings, pixel_samples=min(settings.pixel_samples, ENLARGED_SAMPLES))
         seen = _look(run, full, tables, fewer, threads)
-        return Whole.of(seen, sharp_light(run, tables, seen.points, settings, threads))
+        return Whole.of(seen, sharp_light(run, tables, seen, settings, threads))
 
     run.groups = _light_groups(run, scene, settings)
     with prepared(run, scene, settings, threads, topologies) as tables:

@@ -116,7 +116,7 @@ class RenderSettings:
         "Light a picture so many times smaller along each side, and spread its light by what every pixel sees; shadows of small lamps stay sharp. "
         "For previews; 1 lights every pixel",
         least=1,
-        most=8,
+        usual=8,
     )
     direct_samples: int | None = option(None, "Direct Samples", "Shadow rays of a shading point to the lamps", least=1, usual=64)
     reflections: int | None = option(None, "Reflections", "Most rays drawn from the glossy lobe of a shading point, 0 for none", usual=32)

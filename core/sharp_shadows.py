@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from .denoise import ROWS
 from .jit import kernel
@@ -14,6 +15,7 @@ from .threads import run_chunks
 # Of rays to a small lamp, lit or not by chance, the fewest whose own difference tells their variance; that of fewer, by Jeffreys' prior; the pixels along a side in which
 # it is compared, or in which some must be lit where none are; and what number of rays is as good as any.
 TELLING, FEW_RAYS, COMPARED, FARTHER, MOST_RAYS = np.float32(2.0), np.float32(3 / 16), 5, 9, np.float32(4096.0)
+PENUMBRA = 0.05  # difference of the lit parts of neighbouring pixels, from which there is more than one answer
 LEAST_LIT = np.float32(1e-5)  # of the rays there: less is what sums along rows leave
 
 
@@ -31,6 +33,17 @@ class SharpLight(NamedTuple):
 def doubt_of(unshadowed: np.ndarray, whole: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """What N points add to `SharpLight.doubt` of their pixels, (N, 3): unshadowed light of theirs, that of the whole pixel, (N, 3) each, and their rays (N,)."""
     return unshadowed * np.divide(unshadowed, whole, out=np.zeros_like(unshadowed), where=whole > 0) / np.maximum(rays, 1)[:, None]
+
+
+def in_penumbras(lit: np.ndarray, clear: np.ndarray, pixel: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Which pixels (H * W,) lie where the lit part of the light changes; lit, clear: light with and without shadows, of points (N,) in those pixels."""
+    count = math.prod(shape)
+    whole = np.bincount(pixel, clear, count)
+    part = np.divide(np.bincount(pixel, lit, count), whole, out=np.full(count, np.nan), where=whole > 0).reshape(shape)
+    dark = np.isnan(part)
+    most = maximum_filter(np.where(dark, -np.inf, part), 3, mode="nearest")
+    least = minimum_filter(np.where(dark, np.inf, part), 3, mode="nearest")
+    return (most - least > PENUMBRA).ravel()
 
 
 def give_shadows_back(clean: np.ndarray, light: SharpLight, threads: int) -> None:

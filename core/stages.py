@@ -37,12 +37,14 @@ from .reuse import Sequence
 from .reuse.sequence import ray_scene
 from .scene import AREA, POINT, REFRACTIVE, SPOT, Scene, Skipped
 from .settings import RenderSettings
+from .sharp_shadows import in_penumbras
 from .surfaces.brushed import with_brushed
 from .surfaces.program import with_viewer
-from .threads import PROGRESS_SECONDS, Cancelled
+from .threads import PROGRESS_SECONDS, Cancelled, Progress
 from .topology import IN_MEMORY, Topologies, Topology, reachable_emitters, reachable_vpls, rooms_seen, without_emitters
 from .transport import Transport, is_translucent, transport
 from .view.points import ShadingPoints
+from .view.primary import View
 from .vpl_pool import MOST_BATCHES, vpl_pool, vpl_sequence
 
 # progress(stage, fraction) -> True to go on, False to cancel.
@@ -57,7 +59,8 @@ GATHER_POINTS = (
     1 << 15
 )  # points that all get their gather rays where a denoiser lets each have its own; more of them share so many, one at least
 SHARERS = 8  # neighbouring clusters that share a shadow ray to a light which gives them little
-SHARP_RAYS = 1  # a point of a picture that takes other light from a smaller one, to each lamp with sharp shadows
+# Shadow rays to each lamp with sharp shadows, of a point in a picture that takes its other light from a smaller one, and more of one in a penumbra.
+SHARP_RAYS, PENUMBRA_RAYS = 1, 8
 SMALL_CACHE = 0.25  # times the paths of the accurate method's smallest cache of light are a preview's
 SINGLE_LIGHTS = 4  # of the strongest VPLs, each a debug layer
 # What only a render can count.
@@ -372,8 +375,8 @@ def cache_stage(
     return sampler
 
 
-def sharp_light(run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int) -> np.ndarray | None:
-    """Direct irradiance at the points by lamps with sharp shadows, (N, 3), as `direct_stage` tells it apart; None where it does not."""
+def sharp_light(run: Run, tables: Transport, seen: View, settings: RenderSettings, threads: int) -> np.ndarray | None:
+    """Direct irradiance at the points seen by lamps with sharp shadows, (N, 3), as `direct_stage` tells it apart; None where it does not."""
     if not (settings.denoise and settings.wants("Direct", "Combined")) or settings.visibility == "shadow-maps" or settings.soft_shadows:
         return None
     sharp = sharp_emitters(tables.emitters, settings.direct_samples)
@@ -382,19 +385,22 @@ def sharp_light(run: Run, tables: Transport, points: ShadingPoints, settings: Re
     groups = tables.emitters.groups
     groups = groups[(groups >= 0) & sharp[groups]]
     only = tables._replace(emitters=tables.emitters._replace(groups=groups))
-    with run.stage("direct") as tick:
-        light, rays = direct_light(
-            only,
-            points,
-            SHARP_RAYS * len(groups),
-            settings.seed,
-            threads,
-            tick,
-            reflections=settings.reflections,
-            lobes=is_seen_from(points),
+    points, lobes = seen.points, is_seen_from(seen.points)
+
+    def lit(points: ShadingPoints, rays: int, seed: int, tick: Progress | None = None) -> tuple[np.ndarray, np.ndarray]:
+        light, traced = direct_light(
+            only, points, rays * len(groups), seed, threads, tick, reflections=settings.reflections, lobes=lobes, apart=True
         )
-    run.rays["shadow"] += rays
-    return light.irradiance.reshape(len(points.pixel), -1, 3).sum(axis=1)
+        run.rays["shadow"] += traced
+        return light.irradiance.reshape(len(points.pixel), -1, 3).sum(axis=1), light.unshadowed
+
+    with run.stage("direct") as tick:
+        found, clear = lit(points, SHARP_RAYS, settings.seed, tick)
+        at = np.flatnonzero(in_penumbras(found.sum(axis=1), clear.sum(axis=1), points.pixel, seen.shape)[points.pixel])
+        if len(at):
+            more, _ = lit(points.take(at), PENUMBRA_RAYS, settings.seed + 1)
+            found[at] += np.float32(PENUMBRA_RAYS / (PENUMBRA_RAYS + SHARP_RAYS)) * (more - found[at])
+    return found
 
 
 def glossy_stage(
