@@ -51,6 +51,13 @@ def test_render_leaves_the_layers_of_the_contract(rendered):
     assert layers["Indirect"].mean() > 0
 
 
+def test_a_picture_of_which_fewer_pixels_are_lit_is_as_large(tmp_path):
+    command = ["render", "cornell", "-o", str(tmp_path / "out.exr"), "--stats", str(tmp_path / "stats.json"), "--downsampling", "2"]
+    assert main([*command, *SMALL, "--size", "64x48"]) == 0
+    assert read_exr(tmp_path / "out.exr").size == (64, 48)
+    assert json.loads((tmp_path / "stats.json").read_text())["auto"]["lit"] == [32, 24]
+
+
 def test_film_is_the_scenes_only_where_asked_for(tmp_path):
     scene = sample_scenes.build("cornell", detail="low")
     scene.render.film_transparent = True

@@ -113,6 +113,7 @@ def warned(stats: dict, *words: str) -> bool:
         (["render", "cornell", "-o", "OUT", "--vpls", "-5"], ["--vpls", "from 1 up"]),
         (["render", "cornell", "-o", "OUT", "--vpls", "many"], ["--vpls", "many"]),
         (["render", "cornell", "-o", "OUT", "--pixel-samples", "0"], ["--pixel-samples"]),
+        (["render", "cornell", "-o", "OUT", "--downsampling", "0"], ["--downsampling", "from 1 up"]),
         (["render", "cornell", "-o", "OUT", "--seed", "-1"], ["--seed"]),
         (["render", "cornell", "-o", "OUT", "--time-budget", "nan"], ["--time-budget", "above 0"]),
         (["render", "cornell", "-o", "OUT", "--time-budget", "1", "--target-error", "1"], ["--target-error", "not allowed with"]),
