@@ -234,7 +234,9 @@ def _mesh(scene: Scene, ray_kind: int, shining: int, threads: int):
     bounds[:, ENERGY] = radiance.mean(1) * area
     table = np.zeros((len(triangle), SHAPE), f)
     table[:, CORNERS : CORNERS + 9], table[:, NORMAL : NORMAL + 3], table[:, AREA_M2] = corners.reshape(-1, 9), normal, area
-    flags = CASTS_SHADOW + TEXTURED * textured + SEEN_BY_GLOSSY * ((g.object_visibility[g.object[triangle]] & GLOSSY) > 0)
+    flags = CASTS_SHADOW + TEXTURED * textured
+    for flag, kind_of_ray in ((SEEN_BY_GLOSSY, GLOSSY), (SEEN_THROUGH_GLASS, TRANSMISSION)):
+        flags = flags + flag * ((g.object_visibility[g.object[triangle]] & kind_of_ray) > 0)
     flags = flags + GLOSSY_ONLY * ((g.object_visibility[g.object[triangle]] & ray_kind) == 0)
     flags = flags + FRONT_OUT * (side > 0) + BACK_OUT * (side < 0)
     return triangle, material, flags, radiance, radiance * (2 * np.pi * area)[:, None], bounds, table
@@ -276,6 +278,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
     if scene.world.visibility & (ray_kind | reflected) and (scene.world.radiance > 0).any():
         world, mean, world_flux = world_table(scene.world.radiance, box, scene.world.sought)
         world_flags = CASTS_SHADOW + SEEN_BY_GLOSSY * bool(scene.world.visibility & GLOSSY)
+        world_flags += SEEN_THROUGH_GLASS * bool(scene.world.visibility & TRANSMISSION)
         world_flags += GLOSSY_ONLY * (not scene.world.visibility & ray_kind)
         parts.append(
             (np.array([WORLD]), np.array([world_flags]), mean[None], world_flux[None], np.zeros((1, COLUMNS)), [groups.world], [-1], [-1])

@@ -22,7 +22,7 @@ from ..lamps.emission import FOR_EVER, emit, focused
 from ..lamps.links import lights
 from ..lamps.lookup import EACH, ray_kind
 from ..lamps.shapes import AWAY_FROM_CENTRE
-from ..lamps.tables import CASTS_SHADOW, FADING, ONE_MINUS_COS, RADIUS, SEEN_BY_GLOSSY, WORLD
+from ..lamps.tables import CASTS_SHADOW, FADING, ONE_MINUS_COS, RADIUS, SEEN_BY_GLOSSY, SEEN_THROUGH_GLASS, WORLD
 from ..particles import BLUR, MAX_ADJOINT, NESTED, faded, reflected
 from ..rays.offsets import hit_point, offset_origin, shadow_segment
 from ..rays.packet import WIDTH, is_occluded, new_packet, set_ray
@@ -102,7 +102,7 @@ class Photons(NamedTuple):
     side to which it reflects; 0 without one.  flux: (P, 3) float32, W.  side: (P,) float32, 1 where the normal is their triangle's own, else -1.
     group: (P,) int32, their lamps' light groups.  metal: (P,) uint8, whether metal reflected them.  narrow: (P,) float32, by how much narrower it is
     than virtual lights can tell, by `particles.BLUR`: 0 to 1.  followed: (P,) uint8, whether rays that meet the lobe follow it.
-    lobes: (P,) uint8, how many lobes have reflected it, one after the other; 1 where a pane of frosted glass has scattered it.
+    lobes: (P,) uint8, how many lobes have reflected it, one after the other; 1 where glass has bent or scattered a lamp's light, 0 for the world's.
     blur: (P,) float32, how far frosted glass has spread the light of which it is a part (m).
     """
 
@@ -176,6 +176,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
             emitters, rows, surface, sobol(i, 0, seed), sobol(i, 1, seed), sobol(i, 2, seed), sobol(i, 3, seed), sobol(i, 4, seed)
         )
         if e < 0 or not max(r, g, b) > _0 or not emitters.flags[e] & (SEEN_BY_GLOSSY if lobes else CASTS_SHADOW):
+            continue
+        if not lobes and not emitters.flags[e] & SEEN_THROUGH_GLASS:
             continue
         kind = emitters.kind[e]
         sizeless = ((kind == POINT or kind == SPOT) and not emitters.lamps[e, RADIUS] > _0) or (
@@ -275,9 +277,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 if not lobes and kind != WORLD:
                     # As `surfaces.visibility.transmittance1` has it.
                     scattering = strayed > _0 and strayed >= SCATTERING * (_1 if kind == SUN else flown - before)
-                    if scattering and not bends:  # else it is a lens or a sheet, through which wide lobes look themselves
-                        met = 1
                     bends = scattering or (bends and not sizeless)
+                    met = 1  # wide lobes' own rays go straight on, and would see the lamp where it is not
                 # What is within a solid is lit by straight rays.
                 if not receives or (flags & REFRACTIVE and (thrown or not lobes)) or (not thrown and flown < before + near):
                     break
@@ -727,7 +728,7 @@ def _light(scene, caustics, points, lit, begin, end, seed, tested, every, near, 
     """Adds the irradiance by photons, each evenly bright but for Epanechnikov's kernel of its radius, to the rows lit[begin..end-1] of `out`.
 
     tested: whether it is seen from there where they come from, as one of them by chance tells.  every: by so-manyth of those around alone.
-    shown: (N, 3 G) W/m^2/sr, what wide lobes reflect of it is added there (of what clear glass bends nothing), but for what comes from nearer than `near` (m)
+    shown: (N, 3 G) W/m^2/sr, what wide lobes reflect of it is added there (of the world's light nothing), but for what lobes throw from nearer than `near` (m)
     or than their blur of a cell of the cache, of a `size` (m): their own rays find that.  No rows for none.
     """
     slots = len(caustics.start) - 1
@@ -788,7 +789,7 @@ def _light(scene, caustics, points, lit, begin, end, seed, tested, every, near, 
                     found[n, c + 2] += b
                     if wide and photons.lobes[p] > 0:
                         ex, ey, ez = photons.entry[p, 0] - x, photons.entry[p, 1] - y, photons.entry[p, 2] - z
-                        if ex * ex + ey * ey + ez * ez > least * least:
+                        if not tested or ex * ex + ey * ey + ez * ez > least * least:
                             lr, lg, lb, _ = lobe_value(lobe, -dx, -dy, -dz)
                             part = by_photons(lobe, cos_s, lr, lg, lb) / cos_s if photons.followed[p] else _1 / cos_s
                             seen[n, c] += part * lr * r

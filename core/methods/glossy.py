@@ -27,7 +27,7 @@ from ..lamps.direct import (
 )
 from ..lamps.links import is_hidden_alike, lights
 from ..lamps.lookup import emitter_of, lamp_along, share_of
-from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, SHARP, TEXTURED, WORLD
+from ..lamps.tables import CASTS_SHADOW, SEEN_BY_GLOSSY, SEEN_THROUGH_GLASS, SHARP, TEXTURED, WORLD
 from ..lamps.textured import shown_from
 from ..lamps.world import world_radiance
 from ..rays.offsets import hit_point, offset_origin
@@ -143,13 +143,13 @@ def _radiance_along(emitters, e, rows, surface, x, y, z, dx, dy, dz, t):
 
 @leaf
 def _lamps_along(
-    scene, packet, rows, surface, on, expected, estimate, drawn, turned, bends, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, entered,
+    scene, packet, rows, surface, on, expected, estimate, drawn, turned, elsewhere, x, y, z, error, gx, gy, gz, sx, sy, sz, dx, dy, dz, entered,
     blurred, wr, wg, wb, shown, by_glass, i,
 ):  # fmt: skip
     """Adds the radiance of the lamps along d, weighed by w and the share of rays drawn with the density `drawn`, to row i of `shown`, or of
     `by_glass`, of a point of the triangle `on`.  Lamps hide nothing, neither each other nor what lies behind them.  turned: whether sharp ones have `highlights` there.
-    What a lens lets through is left to `_lamps_beyond` where glass `bends` the ray; shadow rays have none of it.  What frosted glass scatters is left to photons where
-    the lobe is so wide that these light it (`blurred`); narrower ones see it straight through.
+    What a lens lets through is left to `_lamps_beyond` where glass bends the ray, or to photons, where `elsewhere`; shadow rays have none of it.  What frosted glass scatters is
+    left to photons where the lobe is so wide that these light it (`blurred`); narrower ones see it straight through.
     """
     emitters = scene.emitters
     for e in range(len(emitters.source)):
@@ -165,7 +165,7 @@ def _lamps_along(
                 scene, packet, rows, surface, e, ox, oy, oz, dx, dy, dz, t * _SHORT, entered, max(_0, sx * dx + sy * dy + sz * dz), False
             )
         if clear == BY_LENS:
-            if bends:
+            if elsewhere:
                 continue
             clear = _0
         elif clear == BY_FROST and blurred:
@@ -178,12 +178,15 @@ def _lamps_along(
 
 
 @leaf
-def _lamps_beyond(scene, rows, surface, on, part, wr, wg, wb, by_glass, i):
-    """Adds the radiance of the lamps on a `part` of a way (see `nearest_reflected`) to a point of the triangle `on`, weighed by w, to row i of `by_glass`."""
+def _lamps_beyond(scene, rows, surface, on, seen_by, part, wr, wg, wb, by_glass, i):
+    """Adds the radiance of the lamps on a `part` of a way (see `nearest_reflected`) to a point of the triangle `on`, weighed by w, to row i of `by_glass`.
+
+    seen_by: SEEN_BY_GLOSSY or, beyond glass, SEEN_THROUGH_GLASS.
+    """
     emitters = scene.emitters
     x, y, z, dx, dy, dz = part[ORIGIN], part[ORIGIN + 1], part[ORIGIN + 2], part[ALONG], part[ALONG + 1], part[ALONG + 2]
     for e in range(len(emitters.source)):
-        if not emitters.flags[e] & SEEN_BY_GLOSSY:
+        if not emitters.flags[e] & seen_by:
             continue
         t, w = lamp_along(emitters, e, x, y, z, dx, dy, dz)
         if not w > _0 or not part[BEGIN] <= t < part[END] or not lights(emitters, e, scene.object, on):
@@ -238,6 +241,9 @@ def _reflect_chunk(
         entered = np.int64(points.entered[i])
         wide = (shared.gather[i] > 0 or shared.lights) and is_wide(lobe)
         turned = is_turned(points, i)
+        # Photons that lenses and sheets have bent bring lamps' light to wide lobes, but to none of glass, where they do not land.
+        bent_by_photons = lit[i] == SHARED and is_wide(lobe) and not scene.materials.flags[scene.material[points.triangle[i]]] & REFRACTIVE
+        elsewhere = bent_by_photons or not wide
         beneath = _THIRD * (points.albedo[i, 0] + points.albedo[i, 1] + points.albedo[i, 2])
         past = goes_past(scene, points.triangle[i], points.tilt[i])
         for s in range(n):
@@ -259,7 +265,7 @@ def _reflect_chunk(
             rays += 1
             if lit[i] == SHARED and not aside:
                 _lamps_along(
-                    scene, packet, rows, surface, points.triangle[i], expected, estimate, drawn, turned, not wide, x, y, z, error, gx, gy, gz,
+                    scene, packet, rows, surface, points.triangle[i], expected, estimate, drawn, turned, elsewhere, x, y, z, error, gx, gy, gz,
                     sx, sy, sz, dx, dy, dz, entered, is_wide(lobe), wr, wg, wb, shown, known, i,
                 )  # fmt: skip
             ox, oy, oz = offset_origin(x, y, z, gx, gy, gz, error, dx, dy, dz)
@@ -267,9 +273,10 @@ def _reflect_chunk(
             triangle, u, v, t, tr, tg, tb, unbroken, inside, brighter, by_lens, ex, ey, ez, n_parts = nearest_reflected(
                 scene, packet, rows, surface, not wide, lit[i] == WHOLE, ox, oy, oz, dx, dy, dz, key, index, 0, entered, parts
             )
-            if lit[i] and not (wide or aside):
+            if lit[i] and not (bent_by_photons or wide or aside):
                 for k in range(n_parts):
-                    _lamps_beyond(scene, rows, lamp, points.triangle[i], parts[k], wr, wg, wb, known, i)
+                    seen_by = SEEN_BY_GLOSSY if lit[i] == WHOLE and k == 0 else SEEN_THROUGH_GLASS
+                    _lamps_beyond(scene, rows, lamp, points.triangle[i], seen_by, parts[k], wr, wg, wb, known, i)
             wr, wg, wb = wr * tr, wg * tg, wb * tb
             alone = lit[i] == WHOLE or by_lens > 0
             if triangle < 0:
@@ -304,7 +311,7 @@ def _reflect_chunk(
             cosine = lobe_cosine(nx, ny, nz, hx, hy, hz, -ex, -ey, -ez)
             e = emitter_of(emitters, triangle) if flags & EMISSIVE else -1
             found = e >= 0 and not (lit[i] and is_hidden_alike(emitters, e) and lights(emitters, e, scene.object, points.triangle[i]))
-            if flags & EMISSIVE and not found and not (e >= 0 and aside):
+            if flags & EMISSIVE and not found and not (e >= 0 and (aside or (bent_by_photons and by_lens > 0))):
                 share = _1
                 if e >= 0 and not alone:
                     share = share_of(drawn, aimed_density(emitters, expected, estimate, e, x, y, z, sx, sy, sz, dx, dy, dz))
