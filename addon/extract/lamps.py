@@ -102,7 +102,7 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph, links: Links, space: bpy.types
                 name=ob.name,
                 kind=_KINDS[light.type],
                 position=matrix[:3, 3],
-                axes=(matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)).T,
+                axes=upright_axes(matrix[:3, :3], light.type == "AREA"),
                 emission=power,
                 visibility=visibility,
                 cast_shadow=light.use_shadow,
@@ -127,6 +127,31 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph, links: Links, space: bpy.types
         if ob.type == "LIGHT" and ob.name not in seen:
             found.skip(ob.name, "is hidden from renders")
     return found
+
+
+def upright_axes(columns: np.ndarray, flat: bool) -> np.ndarray:
+    """The x, y and z axes (3, 3) of a lamp, of length 1 and at right angles, by the columns (3, 3) of its matrix, which a turned lamp below an uneven scale has sheared.
+
+    As in Cycles, a sheared lamp shines along its z axis, but one that is `flat` lies in the plane of its x and y axes.
+    """
+    x, y, z = (columns / np.linalg.norm(columns, axis=0)).T
+    if flat:
+        y = _across(y, x)
+        up = np.cross(x, y)
+        z = up if up @ z > 0 else -up
+    else:
+        x = _across(x, z)
+        side = np.cross(z, x)
+        y = side if side @ y > 0 else -side
+    return np.stack([x, y, z])
+
+
+def _across(vector: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """What of a vector (3,) lies across a unit axis, of length 1; any such direction where nothing does."""
+    across = vector - (vector @ axis) * axis
+    if not np.linalg.norm(across) > 1e-6:
+        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    return across / np.linalg.norm(across)
 
 
 def with_programs(lamps: list[Lamp], programs: list[LampProgram]) -> None:

@@ -362,3 +362,24 @@ def test_falloff_beside_a_texture(stage):
     assert any("in proportion" in warning for warning in scene.warnings)
     assert scene.lamps.program.tolist() == [-1]
     assert not scene.lamps.falloff.any()
+
+
+@pytest.mark.parametrize("kind", ["AREA", "SPOT", "SUN"])
+def test_a_lamp_that_is_sheared_has_axes_at_right_angles(stage, kind):
+    """A turned lamp below a parent of an uneven scale: its rays were aimed beside it, in part behind walls."""
+    turned = (Matrix.Diagonal((2.0, 1.0, 0.5, 1.0)) @ Matrix.Rotation(0.5, 4, "X") @ Matrix.Rotation(0.4, 4, "Y")).to_3x3()
+    parent = bpy.data.objects.new("Parent", None)
+    parent.scale = 2.0, 1.0, 0.5
+    stage.scene.collection.objects.link(parent)
+    lamp = stage.lamp(kind, Matrix.Rotation(0.5, 4, "X") @ Matrix.Rotation(0.4, 4, "Y"))
+    lamp.parent = parent
+    lamps = stage.extract().lamps
+    axes = lamps.axes.reshape(3, 3)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-6)
+    x, y, z = (np.array(axis) / np.linalg.norm(axis) for axis in turned.col)
+    if kind == "AREA":  # in the plane of its sides
+        across = np.cross(x, y)
+        np.testing.assert_allclose(axes[2], across / np.linalg.norm(across), atol=1e-6)
+        np.testing.assert_allclose(axes[0], x, atol=1e-6)
+    else:
+        np.testing.assert_allclose(axes[2], z, atol=1e-6)
