@@ -261,6 +261,8 @@ def before_a_window(shining):
     quad(scene, [(-1, 0, 0.3), (1, 0, 0.3), (1, 0, 1.5), (-1, 0, 1.5)], material("Glass", **GLASS))
     if shining == "lamp":
         lamp(scene, "AREA", (0, 1.5, 0.9), (math.pi / 2, 0, math.pi), size=0.4)
+    elif shining == "sun":
+        lamp(scene, "SUN", (0, 0, 0), (math.radians(60), 0, math.pi), angle=math.radians(14))
     else:
         quad(
             scene, [(-0.2, 1.5, 0.7), (0.2, 1.5, 0.7), (0.2, 1.5, 1.1), (-0.2, 1.5, 1.1)],
@@ -270,9 +272,9 @@ def before_a_window(shining):
     return scene
 
 
-@pytest.mark.parametrize("shining", ["lamp", "mesh"])
+@pytest.mark.parametrize("shining", ["lamp", "sun", "mesh"])
 def test_wide_lobes_show_what_shines_beyond_a_sheet_where_it_bends_it(shining):
-    """Straight on it would be elsewhere: along such a floor .4 to 2.5 times as bright as in Cycles."""
+    """Straight on it would be elsewhere: along such a floor a lamp was .4 to 2.5 times as bright as in Cycles, the sun up to five times."""
     scene, size = before_a_window(shining), (24, 15)
     identity = {"module": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), "shining": shining}
     halves = cached_halves(scene, identity, size=size, spp=1024, bounces=4, seed=1)
@@ -281,7 +283,8 @@ def test_wide_lobes_show_what_shines_beyond_a_sheet_where_it_bends_it(shining):
     for rows in (slice(0, 5), slice(5, 10), slice(10, 15)):
         expected, mine = ([layers["GlossyIndirect"][rows].mean(dtype=float) for layers in some] for some in (halves, ours))
         noise = abs(expected[0] - expected[1]) / 2 + np.std(mine, ddof=1) / math.sqrt(SEEDS)
-        assert abs(np.mean(mine) - np.mean(expected)) <= 0.06 * np.mean(expected) + 3 * noise
+        least = 0.01 * np.mean(halves[0]["GlossyIndirect"])  # beside a sharp patch of sun, of which disks of photons reach out
+        assert abs(np.mean(mine) - np.mean(expected)) <= 0.06 * np.mean(expected) + 3 * noise + least
 
 
 def test_lamps_that_glass_does_not_show_shine_through_none():
