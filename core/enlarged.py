@@ -51,7 +51,7 @@ class Guides(NamedTuple):
 
 
 class Whole(NamedTuple):
-    """What the camera sees of a picture whose light comes from a smaller one, N points in (H, W, 3) float32.
+    """What the camera sees of a picture whose light comes from a smaller one, (H, W, 3) float32 each but for `seen`.
 
     gloss: what lobes reflect.  guide_albedo, guide_normal: of `denoising_guides`.  sharp: radiance of diffuse surfaces by lamps with sharp
     shadows, as in `Picture`; None where it comes from the smaller picture, too.
@@ -140,8 +140,8 @@ def _pixel_width(camera: Camera, small: Camera, depth: np.ndarray) -> np.ndarray
 def enlarged(picture: Picture, whole: Whole, small: Camera, camera: Camera, threads: int = 0) -> Picture:
     """The light of a denoised `picture` of the camera `small` in what the same `camera` sees of the `whole`.
 
-    picture: without what shines behind glass.  Where `whole` knows it, light of lamps with sharp shadows is its own.  The means of its layers stay.  Guides and what passes alone know are gone: the result is to be
-    looked at, not to be denoised or averaged.
+    picture: without what shines behind glass.  Light of lamps with sharp shadows is that of the `whole`, where that knows it; else the means of the
+    picture's layers stay.  Guides and what passes alone know are gone: the result is to be looked at, not to be denoised or averaged.
     """
     seen, gloss = whole.seen, whole.gloss
     small_gloss = np.zeros_like(picture.albedo) if picture.glossy_albedo is None else picture.glossy_albedo

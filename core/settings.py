@@ -114,7 +114,7 @@ class RenderSettings:
         1,
         "Downsampling",
         "Light a picture so many times smaller along each side, and spread its light by what every pixel sees; shadows of small lamps stay sharp. "
-        "For previews; 1 lights every pixel",
+        "For previews; 1 lights every pixel. A quality, a time or an error to reach decides by itself",
         least=1,
         usual=8,
     )

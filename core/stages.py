@@ -281,8 +281,8 @@ def refractive(tables: Transport) -> bool:
     return bool((tables.materials.flags & REFRACTIVE).any())
 
 
-def is_seen_from(points: ShadingPoints) -> bool:
-    """Whether some of the points look otherwise from other sides."""
+def is_view_dependent(points: ShadingPoints) -> bool:
+    """Whether what some of the points send of direct light depends on the side from which they are seen."""
     return has_lobes(points) or bool(points.rough.any() or points.sheen.any())
 
 
@@ -331,7 +331,7 @@ def direct_stage(
             return light._replace(irradiance_by_glass=nothing, glossy_by_glass=nothing)
         return light
 
-    lobes = is_seen_from(points)
+    lobes = is_view_dependent(points)
     if settings.visibility == "shadow-maps" and len(point_lamps(tables.emitters)):
         mapped, kinds = direct_by_maps, (POINT, SPOT)
     elif settings.soft_shadows and len(area_lamps(tables.emitters)):
@@ -385,14 +385,14 @@ def sharp_light(run: Run, tables: Transport, seen: View, settings: RenderSetting
     groups = tables.emitters.groups
     groups = groups[(groups >= 0) & sharp[groups]]
     only = tables._replace(emitters=tables.emitters._replace(groups=groups))
-    points, lobes = seen.points, is_seen_from(seen.points)
+    points, lobes = seen.points, is_view_dependent(seen.points)
 
     def lit(points: ShadingPoints, rays: int, seed: int, tick: Progress | None = None) -> tuple[np.ndarray, np.ndarray]:
         light, traced = direct_light(
             only, points, rays * len(groups), seed, threads, tick, reflections=settings.reflections, lobes=lobes, apart=True
         )
         run.rays["shadow"] += traced
-        return light.irradiance.reshape(len(points.pixel), -1, 3).sum(axis=1), light.unshadowed
+        return light.irradiance.reshape(len(points.pixel), light.irradiance.shape[1] // 3, 3).sum(axis=1), light.unshadowed
 
     with run.stage("direct") as tick:
         found, clear = lit(points, SHARP_RAYS, settings.seed, tick)

@@ -386,8 +386,8 @@ def _add_render_settings(parser: Parser) -> None:
         type=count,
         metavar="N",
         **keep,
-        help="light a picture N times smaller along each side and spread its light by what every pixel sees, for previews "
-        f"(default: {default.downsampling}, every pixel is lit)",
+        help="light a picture N times smaller along each side and spread its light by what every pixel sees, for previews without a time "
+        f"or an error to reach (default: {default.downsampling}, every pixel is lit)",
     )
     budget = parser.add_mutually_exclusive_group()
     budget.add_argument("--time-budget", type=positive, metavar="SECONDS", **keep, help="use as many samples as fit in this time")

@@ -229,6 +229,11 @@ def test_a_picture_of_few_pixels_does_not_vanish(build):
     assert sides(planner.lit_camera(camera, 0.1)) == (2 * FEWEST, FEWEST) and planner.lit is None
 
 
+def test_a_view_of_nothing_needs_no_light(stripes, build):
+    away = replace(stripes, camera=build.camera(position=(0, 0, -9), width=64, height=48))
+    assert not render(away, RenderSettings(method="fuzzy-clustering", downsampling=2, vpls=32)).layers["Combined"].any()
+
+
 def test_debug_layers_are_of_all_pixels(stripes):
     settings = RenderSettings(method="fuzzy-clustering", vpls=32, vpl_clusters=16, point_clusters=50, pixel_samples=1)
     result = render(stripes, replace(settings, debug_layers=True, downsampling=2))
