@@ -15,7 +15,7 @@ from .threads import run_chunks
 # Of rays to a small lamp, lit or not by chance, the fewest whose own difference tells their variance; that of fewer, by Jeffreys' prior; the pixels along a side in which
 # it is compared, or in which some must be lit where none are; and what number of rays is as good as any.
 TELLING, FEW_RAYS, COMPARED, FARTHER, MOST_RAYS = np.float32(2.0), np.float32(3 / 16), 5, 9, np.float32(4096.0)
-PENUMBRA = 0.05  # difference of the lit parts of neighbouring pixels, from which there is more than one answer
+PENUMBRA = 0.05  # least difference between the lit parts of neighbouring pixels that makes a penumbra
 LEAST_LIT = np.float32(1e-5)  # of the rays there: less is what sums along rows leave
 
 
