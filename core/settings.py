@@ -295,9 +295,11 @@ class RenderSettings:
         """The request for one pass that takes about `quality` of the time of one, with random numbers of its own."""
         if quality == 1.0 and number == 0:
             return self
-        # What a quick picture begins with (view, cache, denoiser) costs more than its few rays: of those it takes more, of lights fewer.
+        # What a quick picture begins with (view, cache, denoiser) costs more than its few rays: it takes more of them.
         # Reflections are what is noisiest in it, and cheap.
-        rays, reflected, lights = (quality ** (2 / 3), quality**0.5, quality**0.75) if quality < 1 else (quality, quality, quality**0.5)
+        rays, reflected = (quality ** (2 / 3), quality**0.5) if quality < 1 else (quality, quality)
+        # What few lights there are all points have in common: no denoiser sees that noise.  More of them cost other methods rays.
+        lights = quality ** (0.5 if quality > 1 or self.method == "importance-sampling" else 0.75)
         parts = dict.fromkeys(("direct_samples", "samples", "gather"), rays) | {"reflections": reflected}
         fewer = {name: max(1, round(part * n)) for name, part in parts.items() if (n := getattr(self, name)) > 0}
         # Primary samples are cheap, and no denoiser mends an edge that few of them have drawn.

@@ -33,6 +33,8 @@ FEWEST_BATCHES = 2  # where not all lights matter in the first one
 BATCH_SEED = 7919  # between the seeds of batches
 MOST_FLOWN = 1 << 23  # particles in all, which are in memory at once: the same for 65,536 VPLs as ever, 1 GiB for a million
 ENOUGH = 1.5  # lights that matter, for each VPL wanted
+# Lights kept, at most, for each that matters: of more the powers are too uneven, and the parts of the pool that one point looks at too unlike.
+KEPT_OF_MATTERING = 8.0
 SUBSET = 96  # shading points that stand for the view
 RAYS_EACH = 8  # shadow rays that tell how much of the view a light reaches
 DEFENSIVE = 0.2  # share of the density by flux alone: no light that could matter is impossible
@@ -179,7 +181,7 @@ def vpl_pool(
     batches: of particles, at most.  particles: traces them, or knows them already; they may be changed here.
     beyond: (N, 3), where else than at the points the light is wanted.
     enough: part of the usual number of lights that must matter, once `FEWEST_BATCHES` of particles have flown.
-    kept: above 1, more of the lights of as many particles: for whoever looks at a part of the pool at each point.
+    kept: above 1, more of the lights of as many particles, as far as they matter: for whoever looks at a part of the pool at each point.
 
     Returns:
         The VPLs, and counts: `light` and `shadow` rays, `traced` VPLs, `useless` ones (behind every point).
@@ -215,7 +217,9 @@ def vpl_pool(
     pool = Vpls.concatenate(parts)
     if parts:
         pool.flux[:] *= np.float32(1.0 / (batch + 1))
-        pool = resample(pool, np.concatenate(importance), kept * count, seed)
+        if kept > 1:
+            count = max(count, min(kept * count, int(KEPT_OF_MATTERING * lights_that_matter(np.concatenate(importance)))))
+        pool = resample(pool, np.concatenate(importance), count, seed)
     return pool, counts
 
 

@@ -71,9 +71,9 @@ from .wide_lobes import SharedRays, bound, drawn_share, gather_density, is_mirro
 
 CHUNK = 1024  # points a chunk
 SUBSET = 512  # virtual lights that one point looks at
-KEPT = 4  # times the lights asked for stay in the pool: a point looks at one subset, and all points at more lights
-# For a lightmap: its texels have thrice a pixel's rays, so that what is left after denoising is what neighbours have in common, the lights.
-TEXEL_KEPT = 16
+# Times the lights asked for stay in the pool, at most: a point looks at one subset, and all points at more lights, whose noise no denoiser sees.
+KEPT = 16
+KEPT_IN_TURN = 4  # of the fewer particles of pictures that are averaged
 WHOLE = 2.0  # points that are half of what their pixel shows, or more, get all rays
 PICKS = 8  # of a subset: more of them go to further subsets
 PATHS = 0.16  # of the cache a point, times the root of its rays: what they find is noisier than what the cache knows
@@ -582,7 +582,6 @@ class ImportanceSampling:
         self.rays = 0
         self.pairs = 0
         self.lights: np.ndarray | None = None  # until `prepare`
-        self.kept = KEPT
         self.shared: SharedRays | None = None
         self.gathered: GatherRays | None = None
         # What glossy surfaces throw on what is seen, where that is much, by one lobe, and by several, one after the other.
@@ -614,7 +613,7 @@ class ImportanceSampling:
             values = texels or n
             paths = cache_paths(values, (self.samples + self.gather) * n / max(1, values))
             if texels is not None:
-                paths, self.kept = math.ceil(TEXEL_PATHS * paths), TEXEL_KEPT
+                paths = math.ceil(TEXEL_PATHS * paths)
         seed = self.seed ^ 0x51AB5
         probes, rays = tracer(scene, points, paths, seed, self.threads, part(progress, 0.0, 0.4))
         first = probes
@@ -705,7 +704,7 @@ class ImportanceSampling:
             batches=MOST_BATCHES if turn is None else 1,
             enough=lights_wanted(len(points.pixel)),
             particles=particles,
-            kept=self.kept,
+            kept=KEPT if turn is None else KEPT_IN_TURN,
             beyond=self.probes.position[thrown_on],
         )
         if not len(vpls.bounce) and len(self.cache.share):  # none found their way: gather rays carry all

@@ -756,17 +756,24 @@ def test_fewer_particles_fly_for_small_pictures(room, monkeypatch, points_of_a_l
     assert len(flown) == batches
 
 
-def test_texels_share_more_lights_and_fewer_paths_than_pixels(room):
-    """Their rays and their denoiser leave what neighbours have in common: lights, of which as many as have flown are kept."""
+@pytest.mark.parametrize("mattering, least, most", [(10.0, 40, 80), (1.0, 32, 64), (1e9, 256, 1024)], ids=["some", "few", "all"])
+def test_as_many_lights_are_kept_as_matter(room, monkeypatch, mattering, least, most):
+    """All points have their noise in common; but of more than matter, the parts that single points look at are unlike."""
     tables, points = room
-    lights, paths = [], []
+    monkeypatch.setattr(vpl_pool, "lights_that_matter", lambda importance: mattering)
+    solver = ImportanceSampling(samples=1, gather=1, seed=3)
+    solver.cache_light(tables, points, paths=1000)
+    found, _ = solver.prepare(tables, points, 64)
+    assert least <= len(found.bounce) <= most
+
+
+def test_texels_have_fewer_paths_than_pixels(room):
+    tables, points = room
+    paths = []
     for texels in (None, len(points.pixel)):
         solver = ImportanceSampling(samples=24, gather=24, seed=3)
         solver.cache_light(tables, points, texels=texels)
         paths.append((solver.probes.valid[::DEPTH] > 0).sum())
-        found, _ = solver.prepare(tables, points, 64)
-        lights.append(len(found.bounce))
-    assert lights[1] > 2 * lights[0]
     assert paths[1] == pytest.approx(0.5 * paths[0], rel=0.1)
 
 
