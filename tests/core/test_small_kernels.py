@@ -155,10 +155,10 @@ def test_fewer_lights_carry_the_light_of_all(lit):
 
 
 @pytest.mark.parametrize(
-    ("matter", "enough", "batches"),
-    [(400, 1, 1), (15, 1, 1), (14, 1, 2), (4, 1, 4), (0, 1, 16), (14, 0.1, 2), (4, 0.4, 2), (1, 0.3, 5)],  # 1.5 for each that is wanted
-)
-def test_particles_are_flown_until_enough_of_their_lights_matter(lit, monkeypatch, matter, enough, batches):
+    ("matter", "enough", "batches", "kept"),  # 1.5 for each that is wanted
+    [(400, 1, 1, 40), (15, 1, 1, 40), (14, 1, 2, 40), (4, 1, 4, 40), (0, 1, 16, 10), (14, 0.1, 2, 40), (4, 0.4, 2, 40), (1, 0.3, 5, 40), (1, 0.1, 2, 16)],
+)  # fmt: skip
+def test_particles_are_flown_until_enough_of_their_lights_matter(lit, monkeypatch, matter, enough, batches, kept):
     tables, points = lit
     seeds, asked = [], []
 
@@ -172,7 +172,7 @@ def test_particles_are_flown_until_enough_of_their_lights_matter(lit, monkeypatc
     monkeypatch.setattr(pool, "contributions", lambda *_: (importance, 0))
     monkeypatch.setattr(pool, "resample", lambda vpls, every, count, seed: asked.append(count) or vpls)
     lights, _ = pool.vpl_pool(tables, points, 10, 1, lambda *_: 1.0, 0, 1, particles=particles, kept=4, enough=enough)
-    assert (len(seeds), len(set(seeds)), asked) == (batches, batches, [40])
+    assert (len(seeds), len(set(seeds)), asked) == (batches, batches, [kept])  # eight for each that matters, at most four for each wanted
     assert len(lights.bounce) == 400 * batches
 
 
