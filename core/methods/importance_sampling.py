@@ -58,10 +58,11 @@ from ..transport import Transport, is_translucent
 from ..view.points import ShadingPoints, is_transmitting, shares
 from ..vpl_pool import BATCH_SEED, MOST_BATCHES, UNSEEN, Particles, vpl_pool
 from .caustics import Caustics, add_caustics, by_lobes
+from .exchange import DEPTH, LEVELS, Probes
 from .foreseen import BLOCK, HIDDEN, VISIBLE, foreseen, light_up
 from .glossy import has_lobes
 from .instant_radiosity import clamp_of
-from .light_cache import DEPTH, GROWTH, LEVELS, NEAR, CacheBuilder, LightCache, Probes, find_cell, look_up, more_by_view
+from .light_cache import GROWTH, NEAR, CacheBuilder, LightCache, find_cell, look_up, more_by_view
 from .partition import strengths, trusted
 from .probes import Tracer, trace_farther, trace_probes
 from .sparks import spread_sparks, spread_thrown

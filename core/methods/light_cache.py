@@ -10,7 +10,6 @@ surface as a whole is kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,73 +20,20 @@ from ..sampling.maps import orthonormal_basis
 from ..scene import bounds
 from ..surfaces.by_view import VIEWS, at_view, differences
 from ..threads import Cancelled, Progress, run_chunks
+from .exchange import CHUNK, DEPTH, DIFFUSE_LINK, GLOSSY_LINK, LEVELS, MISSED, Exchange, Probes, Thrown, half_of
 from .partition import divided
 
-DEPTH = 2  # probes a path: seen from the visible points, and from there
 PROBES_A_CELL = 2  # of the finest cells, on average
-LEVELS = 4  # cells of 1, 3, 9 and 27 sizes: the coarser ones answer where the finer ones know little
 GROWTH = 3.0
-PRIOR = 0.25  # a coarser cell counts as at most this many probes of the finer one: it may lie across the edge of a shadow
 LATER = np.float32(0.2)  # weight of probes that no visible point has met itself
 NEAR = 2.0  # cells: surfaces nearer than this are not looked up but followed on
-BALANCE = np.float32(50.0)  # probes of mean brightness that the balance of the whole view counts for in each place
-MOST_BALANCE = np.float32(1.5)
 BRIGHT_PRIOR = 4.0  # probes that a coarser cell counts as where it tells how bright a finer one is
-MOST_TURNS = 8  # of glossy reflections in the cache
 LEAST_SEEN = np.float32(0.2)  # of the mean over all views: what a probe tells that sees less, all but along the surface, would be a spark
-CHUNK = 16384  # probes a chunk
 FEW_PROBES = 16384  # which tell about the size of the cells
-MISSED, DIFFUSE_LINK, GLOSSY_LINK, TRANSLUCENT_LINK = 0, 1, 2, 3
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _HALF = np.float32(0.5)
 _THIRD = np.float32(1 / 3)
-
-
-class Probes(NamedTuple):
-    """N surfaces that paths met.
-
-    position, normal: (N, 3) float32, the geometric normal on the side that was met.
-    direct: (N, 3 G) float32, pi times the radiance towards the path by direct light, one sample (W/m^2), by light groups.
-    shine: (N, 3 G) float32, the part of it that a glossy lobe has reflected, spread as by a diffuse one.
-    beneath: (N, 3 G) float32, the part of it that comes from below the facet of a smooth surface, or nearly along it: no particle has it.
-    glass: (N, 3 G) float32, the part of it that came by way of glass.
-    carry: (N, 3) float32, the same for each unit that the linked surface sends.
-    albedo: (N, 3) float32, what it reflects of any irradiance by its diffuse lobe.  error: (N,) float32, rounding error of the position (m).
-    link_position, link_normal: (N, 3) float32.  link: (N,) uint8: 0 the ray met nothing, else a surface: 1 by a diffuse
-    reflection, 2 by a glossy one, 3 through a translucent surface.  side, link_side: (N,) int32, as `surface_side` has them.
-    distance: (N,) float32, from where the path came (m).  cosine: (N,) float32, of the way there with the normal.  valid: (N,) uint8, whether the path came so far.
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    direct: np.ndarray
-    shine: np.ndarray
-    beneath: np.ndarray
-    glass: np.ndarray
-    carry: np.ndarray
-    albedo: np.ndarray
-    link_position: np.ndarray
-    link_normal: np.ndarray
-    link: np.ndarray
-    side: np.ndarray
-    link_side: np.ndarray
-    distance: np.ndarray
-    cosine: np.ndarray
-    error: np.ndarray
-    valid: np.ndarray
-
-    @staticmethod
-    def concatenate(parts: list[Probes]) -> Probes:
-        """All probes of the parts, one after the other."""
-        return Probes(*(np.concatenate(columns) for columns in zip(*parts)))
-
-    @staticmethod
-    def allocate(n: int, light_groups: int = 1) -> Probes:
-        """Room for n probes, none of them valid."""
-        rows = [np.zeros((n, columns), np.float32) for columns in (3, 3, *[3 * light_groups] * 4, 3, 3, 3, 3)]
-        sides, lengths = ([np.zeros(n, kind) for _ in range(number)] for kind, number in ((np.int32, 2), (np.float32, 3)))
-        return Probes(*rows, np.zeros(n, np.uint8), *sides, *lengths, np.zeros(n, np.uint8))
 
 
 class Links(NamedTuple):
@@ -163,18 +109,6 @@ class LightCache(NamedTuple):
     first: np.ndarray
     by_view: np.ndarray
     follow: np.ndarray
-
-
-class Thrown(NamedTuple):
-    """What lobes throw on surfaces of the lamps' light, in place of what links tell of it, which do not know where to lobes reflect it.
-
-    irradiance: (C, 3 G) float32 W/m^2, of the cells.  part: (N,) float32, of the light of lobes that the probes' links bring, the part in whose
-    place it stands.  chains: whether it is that of several lobes, too.
-    """
-
-    irradiance: np.ndarray
-    part: np.ndarray
-    chains: bool
 
 
 def no_cache() -> LightCache:
@@ -368,192 +302,6 @@ def _links(probes, cache, begin, end, seed, link_cell):
         )  # fmt: skip
 
 
-def _solve(
-    probes: Probes, cells: np.ndarray, link_cell: np.ndarray, seen_cell: np.ndarray, parent: np.ndarray, root: np.ndarray, level_of: np.ndarray,
-    weight: np.ndarray, looked: np.ndarray, radiosity: np.ndarray, row: int, halves: np.ndarray, shine: np.ndarray, first_of: np.ndarray, beneath: np.ndarray, through: np.ndarray, thrown: Thrown | None, threads: int, go_on: Callable[[float], None],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Fills the radiosity (B, C, 3 G) of all cells after each bounce, by the links of their probes.
-
-    halves: (2, C, 3 G), its `row` again, as half of the paths tell it;  shine: (2, C, 3 G), the part of that which came from lamps
-    and was reflected by a glossy lobe.  through: (2, C, 3 G), the part that glossy links have brought.  first_of: (2, C, 3 G), all that came straight from lamps.  beneath: (2, C, 3 G), of it what came from below facets.  cells: (N, LEVELS) of the probes.  seen_cell: (N,) the cell that a lookup at each probe finds.
-    weight: (N,) float32 of the probes.  looked: (N,) bool, those where light is looked up.  thrown: what lobes throw on surfaces, if that is known.
-
-    Returns (2, C) float32: the weight of the probes of each cell, of either half; `order`, `unit` and `shone` of `Links`.
-    """
-    count, turns = len(parent), _turns_to_settle(probes)
-    order = np.argsort(-level_of.astype(np.int64), kind="stable")
-    knows = np.flatnonzero(probes.valid > 0)
-    half = _half(knows)
-    weight = weight[knows]
-    linked = weight * (link_cell[knows] != -1)
-    places = np.ascontiguousarray(cells[knows].T)
-    parts = [(np.ascontiguousarray(places[:, half == h]), np.flatnonzero(half == h)) for h in range(2)]
-
-    def summed(values: np.ndarray) -> np.ndarray:
-        """Sums (2, C, K) over the probes of each cell, of either half of the paths."""
-        sums = np.zeros((2, count, values.shape[1]), np.float32)
-        for (where, rows), out in zip(parts, sums, strict=True):
-            add_to_cells(where, values[rows], out, threads)
-        return sums
-
-    light = probes.direct[knows]
-    bright = _THIRD * light.sum(axis=1)
-    direct_of, number_of, linked_of = summed(weight[:, None] * light), summed(weight[:, None])[..., 0], summed(linked[:, None])[..., 0]
-    squares = summed(np.column_stack([weight * bright * bright, weight * weight])).sum(axis=0)
-    direct, number = direct_of.sum(axis=0), number_of.sum(axis=0)
-    unit = np.divide(squares[:, 1], number, out=np.ones(count, np.float32), where=number > 0)
-    likeness = _likeness(parent, level_of, number, squares, _THIRD * direct.sum(axis=1))
-    smooth(direct, number, unit, parent, order, likeness)
-    parts_of = [(part, of) for part, of in ((shine, probes.shine), (beneath, probes.beneath)) if of.any()]
-    for part, of in parts_of:
-        part[:] = summed(weight[:, None] * of[knows])
-    # Half of the probes know half as much, of what is around them, too.
-    half_likeness = _HALF * likeness
-    for h in range(2):
-        smooth(direct_of[h], number_of[h], unit, parent, order, half_likeness)
-        for part, _ in parts_of:
-            smooth(part[h], number_of[h], unit, parent, order, half_likeness)
-    # Glass is a surface to Cycles, where the last bounce ends: what came by way of it takes one bounce more.
-    behind = probes.glass[knows] if probes.glass.any() else None
-    soonest, clear, later = direct, _1, direct
-    if thrown is not None:
-        gained = probes.albedo[knows]
-        gained = np.tile(gained, (1, light.shape[1] // 3)) * thrown.irradiance[places[0]]
-        gained_of = summed(weight[:, None] * gained)
-        later = gained_of.sum(axis=0)
-        smooth(later, number, unit, parent, order, likeness)
-        np.add(direct, later, out=later)
-        for h in range(2):
-            smooth(gained_of[h], number_of[h], unit, parent, order, half_likeness)
-    if behind is not None:
-        behind_of = summed(weight[:, None] * behind)
-        soonest = behind_of.sum(axis=0)
-        smooth(soonest, number, unit, parent, order, likeness)
-        np.maximum(direct - soonest, _0, out=soonest)
-        if row == 0:
-            for h in range(2):
-                smooth(behind_of[h], number_of[h], unit, parent, order, half_likeness)
-            clear = np.divide(np.maximum(direct_of - behind_of, _0), direct_of, out=np.ones_like(direct_of), where=direct_of > 0)
-    sending = link_cell[knows] >= 0
-    link, sends = link_cell[knows[sending]], np.cumsum(sending) - 1
-    carry = weight[sending, None] * probes.carry[knows[sending]]
-    kinds = probes.link[knows[sending]]
-    free, glossy = kinds != DIFFUSE_LINK, kinds == GLOSSY_LINK
-    places = np.ascontiguousarray(places[:, sending])
-    parts = [(np.ascontiguousarray(places[:, half[sending] == h]), sends[sending & (half == h)]) for h in range(2)]
-    here = looked[knows] & (link_cell[knows] != -1) & (seen_cell[knows] >= 0)
-    looked = knows[here]
-    sent = probes.direct[looked].sum(axis=1)
-    sent_soonest = sent if behind is None else sent - probes.glass[looked].sum(axis=1)
-    brings, brought = sending[here], sends[here & sending]
-    trust = np.float32(BALANCE / max(1, len(probes.valid) // DEPTH))
-    likeness[:] = PRIOR
-    sums, scale = np.zeros((count, 2), np.float32), np.ones((count, 1), np.float32)
-    linked = linked_of.sum(axis=0)
-    carried = np.empty((len(link), direct.shape[1]), np.float32)
-    # Of all that cells send, what lobes reflect of the lamps' light: one, or by glossy links several.
-    one = np.einsum("hc,hck->ck", number_of / np.maximum(number, np.float32(1e-6)), shine)
-    bent, several = np.where(glossy[:, None], carry, _0), bool(one.any() and glossy.any())
-
-    def reflected(light: np.ndarray) -> np.ndarray:
-        """What one lobe reflects of the lamps' light, and the next one of `light` (C, 3 G)."""
-        run_chunks(lambda begin, end: carry_over(link, bent, glossy, light[None], 0, begin, end, taken), len(link), CHUNK, threads)
-        total = np.zeros_like(one)
-        add_to_cells(places, taken, total, threads)
-        smooth(total, linked, unit, parent, order, likeness)
-        return one + total
-
-    shone, taken = one, np.empty_like(carried)
-    if thrown is None:
-        for _ in range(turns * several):
-            shone = reflected(shone)
-    else:
-        several = several and thrown.chains
-        brings_shine = np.where(kinds == DIFFUSE_LINK, thrown.part[knows[sending]], _0)[:, None] * np.tile(carry, one.shape[1] // 3)
-    # Glossy and translucent links take no bounce: what they carry is found turn by turn.
-    schedule = [(bounce, turn == 0) for bounce in range(len(radiosity)) for turn in range(turns)]
-    for step, (bounce, first) in enumerate(schedule):
-        go_on(0.4 + 0.6 * step / len(schedule))
-        if first and turns > 1 and bounce > 0:
-            radiosity[bounce] = radiosity[bounce - 1]
-        run_chunks(
-            lambda begin, end, bounce=bounce: carry_over(link, carry, free, radiosity, bounce, begin, end, carried),
-            len(link),
-            CHUNK,
-            threads,
-        )
-        if bounce and thrown is not None:
-            if first:
-                less = brings_shine * shone[link]
-            np.maximum(carried - less, _0, out=carried)
-        gathered = bounce == row and (step + 1 == len(schedule) or schedule[step + 1][0] > row)
-        if gathered:
-            halves[:] = summed(carried)
-            if glossy.any():
-                through[:] = summed(np.where(glossy[:, None], carried, _0))
-            total = halves.sum(axis=0)
-        else:
-            total = np.zeros_like(direct)
-            add_to_cells(places, carried, total, threads)
-        smooth(total, linked, unit, parent, order, likeness)
-        np.add(later if bounce else soonest, total, out=radiosity[bounce])
-        own = (sent if bounce else sent_soonest).copy()
-        if bounce and thrown is not None:
-            own += gained[here].sum(axis=1)
-        # What the cells have got in this turn: of links that take no bounce, what they would bring in the next is already there.
-        own[brings] += np.einsum("nk->n", carried[brought]) / weight[here & sending]
-        _balance(own, seen_cell[looked], root, trust, bounce, radiosity, sums, scale)
-        if thrown is not None:  # as it goes into the cells' own light, turn by turn: a tenth would be left otherwise
-            shone = scale * (reflected(shone) if several else one)
-        if gathered:
-            for h in range(2):
-                smooth(halves[h], linked_of[h], unit, parent, order, _HALF * likeness)
-                if glossy.any():
-                    smooth(through[h], linked_of[h], unit, parent, order, _HALF * likeness)
-            first_of[:] = direct_of * clear
-            halves += first_of
-            if bounce and thrown is not None:
-                halves += gained_of
-            for part in (halves, first_of, through):
-                part *= scale
-            for part in (shine, beneath):
-                part *= clear * scale
-    return number_of, order, unit, shone
-
-
-def _half(probes: np.ndarray) -> np.ndarray:
-    """To which half of the paths probes belong, 0 or 1."""
-    return (probes // DEPTH) % 2
-
-
-def add_to_cells(places: np.ndarray, values: np.ndarray, out: np.ndarray, threads: int) -> None:
-    """Adds values (N, K) to the cells (LEVELS, N) of each level in out (C, K)."""
-    values = np.ascontiguousarray(values, np.float32)
-
-    def add(begin: int, end: int) -> None:
-        for level in range(begin, end):
-            _scatter(places[level], values, out)
-
-    run_chunks(add, LEVELS, 1, threads)
-
-
-@kernel
-def _scatter(cell, values, out):
-    for i in range(len(cell)):
-        for k in range(values.shape[1]):
-            out[cell[i], k] += values[i, k]
-
-
-@kernel
-def carry_over(link, carry, free, radiosity, bounce, begin, end, carried):
-    """What the links begin..end-1 carry in a bounce, of which those that are `free` take none, into `carried` (M, 3 G)."""
-    for i in range(begin, end):
-        row = bounce if free[i] else bounce - 1
-        for c in range(0, carried.shape[1], 3):
-            for k in range(3):
-                carried[i, c + k] = carry[i, k] * radiosity[row, link[i], c + k] if row >= 0 else _0
-
-
 @leaf
 def _carried(carry, i, radiosity, row, cell):
     """What link i carries of a cell's light, sum of the channels of all light groups."""
@@ -562,88 +310,6 @@ def _carried(carry, i, radiosity, row, cell):
         for k in range(3):
             total += carry[i, k] * radiosity[row, cell, c + k]
     return total
-
-
-@kernel
-def _balance(sent, seen, root, trust, bounce, radiosity, sums, scale):
-    """Scales the cells of each coarsest one so that lookups find as much light there as the probes themselves sent.
-
-    What is looked up from afar lies brighter than what hides close by; smoothing over both takes from the first.
-    sent: (M,) the light of the probes that may be looked up, sum of the channels.  seen: (M,) the cell that a lookup finds
-    there.  trust: probes of mean brightness that the whole view counts for.  scale: (C, 1), becomes the factors.
-    """
-    sums[:] = _0
-    for i in range(len(sent)):
-        at = root[seen[i]]
-        sums[at, 0] += sent[i]
-        for k in range(radiosity.shape[2]):
-            sums[at, 1] += radiosity[bounce, seen[i], k]
-    whole = found = _0
-    for c in range(len(root)):
-        whole += sums[c, 0]
-        found += sums[c, 1]
-    if not found > _0:
-        return
-    known = trust * found
-    for c in range(len(root)):
-        at = root[c]
-        # The factor of the whole view stands in where few probes know better, but none of it where nothing is looked up: from link to link it
-        # would be taken again and again.
-        factor = (sums[at, 0] + known * whole / found) / max(sums[at, 1] + known, np.float32(1e-30)) if sums[at, 1] > _0 else _1
-        factor = min(MOST_BALANCE, max(_1 / MOST_BALANCE, factor))
-        for k in range(radiosity.shape[2]):
-            radiosity[bounce, c, k] *= factor
-        scale[c, 0] = factor
-
-
-def _likeness(parent: np.ndarray, level_of: np.ndarray, number: np.ndarray, squares: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """As how many probes of each cell the coarser one around it counts (C,), `PRIOR` at most: by how alike its cells are.
-
-    That is the variance within cells over the variance between them (the linear empirical Bayes estimator): where a patch
-    of sun lies beside the dark, its cells tell little of each other.  The mean deviation within cells is taken, for the
-    few cells on the patch's edge have a large one.
-
-    number, light: (C,) sums of the probes' weights and of their weighted light.  squares: (C, 2) sums of the weighted squares of
-    the light, and of the squared weights.
-    """
-    count = len(parent)
-    inner = np.flatnonzero((parent >= 0) & (number > 0))
-    up, n, light, squares = parent[inner], number[inner].astype(np.float64), light[inner], squares[inner]
-    effective = n * n / squares[:, 1]
-    several = effective > 1.5
-    factor = effective / np.where(several, effective - 1, 1)
-    deviation = np.sqrt(np.maximum(0, squares[:, 0] / n - (light / n) ** 2) * factor)
-
-    def total(values: np.ndarray) -> np.ndarray:
-        return np.bincount(up, values, count)
-
-    with np.errstate(divide="ignore", invalid="ignore"):
-        within = (total(np.where(several, n * deviation, 0)) / total(np.where(several, n, 0))) ** 2
-        whole = total(n)
-        between = total(squares[:, 0]) / whole - (total(light) / whole) ** 2 - within
-        found = np.where(between > 0, np.minimum(PRIOR, within / between), PRIOR)
-    found = np.where(np.isfinite(found), found, PRIOR)
-    return np.where(parent >= 0, found[parent], PRIOR).astype(np.float32)
-
-
-@kernel
-def smooth(values, number, unit, parent, order, likeness):
-    """Turns the sums (C, 3 G) of cells into means; a coarser cell stands in for what a finer one has not seen.
-
-    number: (C,) the sum of the weights.  unit: (C,) what a probe of the cell weighs.  likeness: (C,) as how many probes the
-    coarser cell counts.  order: (C,) the cells, the coarsest first.
-    """
-    for c in order:
-        up = parent[c]
-        # What knows nothing itself takes all from the coarser one.
-        weight = (likeness[c] * unit[c] if number[c] > _0 else _1) if up >= 0 else _0
-        inverse = _1 / max(number[c] + weight, np.float32(1e-6))
-        weight *= inverse
-        for k in range(values.shape[1]):
-            values[c, k] *= inverse
-        if up >= 0:
-            for k in range(values.shape[1]):
-                values[c, k] += weight * values[up, k]
 
 
 @kernel
@@ -781,7 +447,7 @@ class CacheBuilder:
         follow = np.zeros_like(by_view) if follow is None else follow
         self.probes = probes = _of_all_views(probes, by_view if probed_by_view is None else probed_by_view)
         self.seed, self.threads = seed, threads
-        self.row = (bounces if gathered is None else gathered) - 1
+        self.bounces, self.row = bounces, (bounces if gathered is None else gathered) - 1
         self.relied = np.float32(relied)
         self.later = np.float32(later + relied * (1 - later))
         origin, extent = _grid(probes)
@@ -813,25 +479,27 @@ class CacheBuilder:
         run_chunks(
             lambda begin, end: _links(probes, self.empty, begin, end, np.uint32(seed), self.link_cell), len(self.link_cell), CHUNK, threads
         )
-        self.seen_cell = look_up(self.empty, probes.position, probes.normal, probes.side, seed + 3, threads)
         self.weight = _weights(probes, NEAR * size)
-        self.looked = (probes.distance > NEAR * size) & _met(probes, mirrors)
+        looked = (probes.distance > NEAR * size) & _met(probes, mirrors)
         self.shared: tuple[np.float32, np.ndarray] | None = None  # tau, and how bright cells are, by which light was divided first
         go_on(progress, 0.4)
+        self.exchange = Exchange(
+            probes, cells, self.link_cell, look_up(self.empty, probes.position, probes.normal, probes.side, seed + 3, threads), self.parent, root,
+            self.level_of, self.weight, looked, threads,
+        )  # fmt: skip
+        go_on(progress, 0.5)
 
     def solve(self, progress: Progress | None = None, thrown: Thrown | None = None) -> tuple[LightCache, Links]:
         """The cache, and how its cells hang together; a second time with what is `thrown`, divided between lights and rays as the first time."""
         probes, empty, parent = self.probes, self.empty, self.parent
-        radiosity = np.zeros_like(empty.radiosity)
-        halves, shine, first_of, beneath, through = (np.zeros((2, *radiosity.shape[1:]), np.float32) for _ in range(5))
-        number_of, order, unit, shone = _solve(
-            probes, self.cells, self.link_cell, self.seen_cell, parent, empty.root, self.level_of, self.weight, self.looked, radiosity, self.row,
-            halves, shine, first_of, beneath, through, thrown, self.threads, lambda done: go_on(progress, done),
-        )  # fmt: skip
+        exchange = self.exchange
+        radiosity, halves, shine, first_of, beneath, through, shone = exchange.solve(
+            self.bounces, self.row, thrown, lambda done: go_on(progress, 0.5 + 0.5 * done)
+        )
         cache = empty._replace(radiosity=radiosity)
         if self.shared is None:
-            tau = np.float32(max(seen_light(cache, probes, self.seed + 1), 1e-30))
-            half, bright = _half(np.arange(len(probes.valid))), np.zeros((2, len(parent)), np.float32)
+            tau = np.float32(max(seen_light(cache, probes, self.seed + 1, self.threads), 1e-30))
+            half, bright = half_of(np.arange(len(probes.valid))), np.zeros((2, len(parent)), np.float32)
             for h in range(2):
                 _brightness(
                     probes, half != h, self.cells, self.link_cell, parent, self.level_of, np.float32(BRIGHT_PRIOR), radiosity, bright[h],
@@ -839,13 +507,13 @@ class CacheBuilder:
                 )  # fmt: skip
             self.shared = tau, bright
         tau, bright = self.shared
-        number = number_of.sum(axis=0)
-        counts = number_of / np.maximum(number, np.float32(1e-6))
+        number = exchange.number_of.sum(axis=0)
+        counts = exchange.number_of / np.maximum(number, np.float32(1e-6))
         sent, lit, shine, reflected, share = divided(
             halves, shine, first_of, beneath, through, counts, bright, number, tau, parent, self.later, self.relied
         )
         first = np.maximum(0, np.einsum("hc,hck->ck", counts, first_of) - shine)
-        links = Links(self.cells, self.link_cell, self.weight, shine, shone, reflected, parent, order, unit)
+        links = Links(self.cells, self.link_cell, self.weight, shine, shone, reflected, parent, exchange.order, exchange.unit)
         return cache._replace(
             sent=sent, lit=lit, dull=sent, matte=sent, matte_lit=lit, lobes=0 * sent, share=share, tau=tau, first=first
         ), links
@@ -880,13 +548,6 @@ def _met(probes: Probes, mirrors: np.ndarray | None) -> np.ndarray:
     return met
 
 
-def _turns_to_settle(probes: Probes) -> int:
-    """Rounds after which chains of links that take no bounce carry less than a hundredth of what they began with."""
-    free = probes.link > DIFFUSE_LINK
-    kept = float(probes.carry[free].mean(axis=1).sum()) / max(1, int((probes.valid > 0).sum()))
-    return 1 + (int(np.clip(np.ceil(np.log(0.01) / np.log(min(kept, 0.8))), 1, MOST_TURNS)) if kept > 0 else 0)
-
-
 @kernel
 def _parents(cache, level_of, centre, side_of):
     """The next coarser cell around each cell, -1 where there is none."""
@@ -916,9 +577,9 @@ def look_up(cache: LightCache, position: np.ndarray, normal: np.ndarray, side: n
     return cell
 
 
-def seen_light(cache: LightCache, probes: Probes, seed: int) -> float:
+def seen_light(cache: LightCache, probes: Probes, seed: int, threads: int = 0) -> float:
     """Mean indirect irradiance of the view (W/m^2, mean of the channels): what the first probe of each path sends back."""
     first = slice(0, None, DEPTH)
-    cell = look_up(cache, probes.position[first], probes.normal[first], probes.side[first], seed)
+    cell = look_up(cache, probes.position[first], probes.normal[first], probes.side[first], seed, threads)
     found = (probes.valid[first] > 0) & (cell >= 0)
     return float(np.where(found, _THIRD * cache.radiosity[-1].sum(axis=1)[np.maximum(cell, 0)] if len(cache.share) else 0.0, 0.0).mean())

@@ -15,7 +15,9 @@ RARE = np.float32(2.0)
 STRONG = 20.0
 NEAREST = 64  # lights that tell how strong those of a cell are: where sun and sky are focused, one in fifty may have most of the power
 ALIKE = 3.0  # squared distance of a cell from the middle of its lights, by their squared deviation, up to which they tell of it as they are
+_0 = np.float32(0.0)
 _1 = np.float32(1.0)
+_THIRD = np.float32(1 / 3)
 
 
 def divided(
@@ -32,32 +34,46 @@ def divided(
     cell, -1 for none.  relied: the part of all other light that lights carry, too.
     """
     sent, lit, thrown, reflected, share = *(np.zeros_like(halves[0]) for _ in range(4)), np.zeros(len(parent), np.float32)
-    rare = np.zeros((4, *sent.shape), np.float32)
-    for h in range(2):
-        part = bright[h] / (bright[h] + tau)
-        part += relied * (_1 - part)
-        own = _mean(halves[h])
-        bound = RARE * bright[h] + tau
-        beyond = np.where((own > bound) & (parent >= 0), _1 - bound / np.maximum(own, bound), np.float32(0))[:, None]
-        light = counts[h][:, None] * halves[h]
-        known = counts[h][:, None] * first[h]
-        direct = known - counts[h][:, None] * beneath[h]
-        lights = (
-            part[:, None] * (direct + later * (light - known - counts[h][:, None] * through[h]))
-            + (counts[h] * (_1 - part))[:, None] * shine[h]
-        )
-        share += counts[h] * part
-        for part_of, out, aside in (
-            (light, sent, rare[0]),
-            (lights, lit, rare[1]),
-            (counts[h][:, None] * shine[h], thrown, rare[2]),
-            (counts[h][:, None] * through[h], reflected, rare[3]),
-        ):
-            out += (_1 - beyond) * part_of
-            aside += beyond * part_of
-    for out, aside in zip((sent, lit, thrown, reflected), rare, strict=True):
-        out += _spread(aside, number, parent)
+    rare = np.zeros((len(parent), 4 * sent.shape[1]), np.float32)
+    _divide(halves, shine, first, beneath, through, counts, bright, parent, tau, np.float32(later), np.float32(relied), sent, lit, thrown, reflected, share, rare)  # fmt: skip
+    if rare.any():
+        for out, aside in zip((sent, lit, thrown, reflected), np.split(_spread(rare, number, parent), 4, axis=1), strict=True):
+            out += aside
     return sent, lit, thrown, reflected, share
+
+
+@kernel
+def _divide(
+    halves, shine, first, beneath, through, counts, bright, parent, tau, later, relied, sent, lit, thrown, reflected, share, rare,
+):  # fmt: skip
+    """Fills sent, lit, thrown, reflected (C, 3 G) and share (C,); rare (C, 12 G): what of each is to be spread over the cells beside."""
+    width = halves.shape[2]
+    for h in range(2):
+        for c in range(len(parent)):
+            part, own, known = bright[h, c] / (bright[h, c] + tau), _0, counts[h, c]
+            part += relied * (_1 - part)
+            for k in range(width):
+                own += halves[h, c, k]
+            own *= _THIRD
+            bound = RARE * bright[h, c] + tau
+            beyond = _0
+            if own > bound and parent[c] >= 0:
+                beyond = _1 - bound / own
+            share[c] += known * part
+            for k in range(width):
+                light, straight, glossy = known * halves[h, c, k], known * first[h, c, k], known * shine[h, c, k]
+                mirrored = known * through[h, c, k]
+                direct = straight - known * beneath[h, c, k]
+                lights = part * (direct + later * (light - straight - mirrored)) + (_1 - part) * glossy
+                sent[c, k] += (_1 - beyond) * light
+                lit[c, k] += (_1 - beyond) * lights
+                thrown[c, k] += (_1 - beyond) * glossy
+                reflected[c, k] += (_1 - beyond) * mirrored
+                if beyond > _0:
+                    rare[c, k] += beyond * light
+                    rare[c, width + k] += beyond * lights
+                    rare[c, 2 * width + k] += beyond * glossy
+                    rare[c, 3 * width + k] += beyond * mirrored
 
 
 def strengths(flux: np.ndarray, tau: float, places: np.ndarray) -> np.ndarray:
@@ -98,15 +114,8 @@ def trusted(
     return (1 / (1 + strong**2)).astype(np.float32)[of]
 
 
-def _mean(light: np.ndarray) -> np.ndarray:
-    """Of the channels (C,), sum of all light groups (C, 3 G)."""
-    return np.float32(1 / 3) * np.einsum("ck->c", light)
-
-
 def _spread(light: np.ndarray, number: np.ndarray, parent: np.ndarray) -> np.ndarray:
     """The mean of the light (C, K), weighed by `number` (C,), over the cells that have the same parent."""
-    if not light.any():
-        return light
     sums, weights = np.zeros_like(light), np.zeros_like(number)
     _add_up(light, number, parent, sums, weights)
     means = sums / np.maximum(weights, np.float32(1e-20))[:, None]

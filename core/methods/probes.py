@@ -25,7 +25,8 @@ from ..surfaces.visibility import OUTSIDE, encloses, nearest_surface
 from ..threads import Progress, run_chunks
 from ..transport import Transport
 from ..view.points import ShadingPoints
-from .light_cache import DEPTH, DIFFUSE_LINK, GLOSSY_LINK, TRANSLUCENT_LINK, Probes, unknown_paths
+from .exchange import DEPTH, DIFFUSE_LINK, GLOSSY_LINK, TRANSLUCENT_LINK, Probes
+from .light_cache import unknown_paths
 from .tails import DIMENSIONS, scatter_light
 from .wide_lobes import NARROW
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..jit import kernel
 from ..references import Reference
-from .light_cache import DEPTH, DIFFUSE_LINK, PRIOR, CacheBuilder, LightCache, Links, Probes, Thrown, add_to_cells, smooth
+from .exchange import DEPTH, DIFFUSE_LINK, PRIOR, Probes, Thrown, add_to_cells, smooth
+from .light_cache import CacheBuilder, LightCache, Links
 
 LITTLE = 0.01  # of the light that links carry: below it the direction of what lobes reflect is not worth a ray
 ENOUGH = 65536  # probes that get a ray: their cells and those around them share what they find

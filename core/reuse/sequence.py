@@ -10,7 +10,7 @@ import numpy as np
 
 from ..denoise import Denoiser
 from ..lamps import Emitters, LightGroups, build_emitters
-from ..methods.light_cache import Probes
+from ..methods.exchange import Probes
 from ..particles import Vpls, trace_by_power
 from ..picture import Picture
 from ..rays import RayScene

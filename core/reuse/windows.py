@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..methods.light_cache import Probes
+from ..methods.exchange import Probes
 from ..methods.probes import trace_probes
 from ..threads import Progress
 from ..transport import Transport

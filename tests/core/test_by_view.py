@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from lumigate.core import scene as sc
-from lumigate.core.methods.light_cache import Probes, _of_all_views
+from lumigate.core.methods.exchange import Probes
+from lumigate.core.methods.light_cache import _of_all_views
 from lumigate.core.surfaces import ggx
 from lumigate.core.surfaces.by_view import VIEWS, differences, views
 from lumigate.core.surfaces.layout import (

@@ -7,9 +7,10 @@ from lumigate.core import scene as sc
 from lumigate.core import vpl_pool
 from lumigate.core.lamps import build_emitters, direct_irradiance, world_tables
 from lumigate.core.methods import importance_sampling
+from lumigate.core.methods.exchange import DEPTH, GLOSSY_LINK, Probes
 from lumigate.core.methods.foreseen import EVEN, VISIBLE, foreseen
 from lumigate.core.methods.importance_sampling import ImportanceSampling, light_table
-from lumigate.core.methods.light_cache import DEPTH, GLOSSY_LINK, Probes, build_light_cache, look_up, no_cache
+from lumigate.core.methods.light_cache import build_light_cache, look_up, no_cache
 from lumigate.core.methods.partition import strengths, trusted
 from lumigate.core.methods.probes import trace_probes
 from lumigate.core.particles import (

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lumigate.core.methods.light_cache import DEPTH, DIFFUSE_LINK, GLOSSY_LINK, CacheBuilder, Probes, build_light_cache
+from lumigate.core.methods.exchange import DEPTH, DIFFUSE_LINK, GLOSSY_LINK, Probes
+from lumigate.core.methods.light_cache import CacheBuilder, build_light_cache
 from lumigate.core.methods.thrown import FEW, redirected, throwing, without_sparks
 
 ALBEDO, SHINE = 0.5, 0.4
