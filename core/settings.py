@@ -81,6 +81,9 @@ METHOD_CHOICES = (
 )
 
 
+LEAST_DIRECT = 0.25  # part of the direct rays that the quickest picture takes
+
+
 @dataclass
 class RenderSettings:
     """The request of one render; every field has the default of the command line.
@@ -300,7 +303,8 @@ class RenderSettings:
         rays, reflected = (quality ** (2 / 3), quality**0.5) if quality < 1 else (quality, quality)
         # What few lights there are all points have in common: no denoiser sees that noise.  More of them cost other methods rays.
         lights = quality ** (0.5 if quality > 1 or self.method == "importance-sampling" else 0.75)
-        parts = dict.fromkeys(("direct_samples", "samples", "gather"), rays) | {"reflections": reflected}
+        # Lamps that no ray is aimed at are noise that no network takes for light; two rays cost next to nothing beside the view.
+        parts = dict.fromkeys(("samples", "gather"), rays) | {"direct_samples": max(rays, LEAST_DIRECT), "reflections": reflected}
         fewer = {name: max(1, round(part * n)) for name, part in parts.items() if (n := getattr(self, name)) > 0}
         # Primary samples are cheap, and no denoiser mends an edge that few of them have drawn.
         pixel_samples = max(1, round(quality**0.25 * self.pixel_samples))

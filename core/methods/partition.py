@@ -37,8 +37,9 @@ def divided(
     rare = np.zeros((len(parent), 4 * sent.shape[1]), np.float32)
     _divide(halves, shine, first, beneath, through, counts, bright, parent, tau, np.float32(later), np.float32(relied), sent, lit, thrown, reflected, share, rare)  # fmt: skip
     if rare.any():
-        for out, aside in zip((sent, lit, thrown, reflected), np.split(_spread(rare, number, parent), 4, axis=1), strict=True):
-            out += aside
+        _spread(rare, number, parent, np.zeros_like(rare))
+        for k, out in enumerate((sent, lit, thrown, reflected)):
+            out += rare[:, k * out.shape[1] : (k + 1) * out.shape[1]]
     return sent, lit, thrown, reflected, share
 
 
@@ -114,19 +115,18 @@ def trusted(
     return (1 / (1 + strong**2)).astype(np.float32)[of]
 
 
-def _spread(light: np.ndarray, number: np.ndarray, parent: np.ndarray) -> np.ndarray:
-    """The mean of the light (C, K), weighed by `number` (C,), over the cells that have the same parent."""
-    sums, weights = np.zeros_like(light), np.zeros_like(number)
-    _add_up(light, number, parent, sums, weights)
-    means = sums / np.maximum(weights, np.float32(1e-20))[:, None]
-    return np.where((parent >= 0)[:, None], means[parent], light)
-
-
 @kernel
-def _add_up(light, number, parent, sums, weights):
+def _spread(light, number, parent, sums):
+    """The mean of the light (C, K), weighed by `number` (C,), over the cells that have the same parent, into all of these; sums: (C, K) zeros."""
+    weights = np.zeros(len(parent), np.float32)
     for i in range(len(parent)):
         up = parent[i]
         if up >= 0:
             weights[up] += number[i]
             for k in range(light.shape[1]):
                 sums[up, k] += number[i] * light[i, k]
+    for i in range(len(parent)):
+        up = parent[i]
+        if up >= 0:
+            for k in range(light.shape[1]):
+                light[i, k] = sums[up, k] / max(weights[up], np.float32(1e-20))

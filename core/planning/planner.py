@@ -23,6 +23,8 @@ from .machine import Machine
 
 # Quality of a pass: 1 is that of a picture without budget; its samples and its time go with it.
 LEAST, MOST = 0.125, 8.0
+# Where time is too short for LEAST: a quarter of its rays takes .7 to .85 of its time, at 1.3 to 1.8 times its error; fewer pixels err more.
+QUICKEST = LEAST / 4
 LARGE = 4.0  # of a pass of a budget, at most: beyond it two passes, of lights and caches of their own, have a smaller error than one
 LARGE_PICTURE = 500_000  # pixels above which passes are not made larger than 1, for their memory
 MOST_PASSES = 256
@@ -40,7 +42,8 @@ AIMING_PIXELS, AIMING = 4_000, 2
 SMALLER = 6  # times as many pixels as the pilot has make it worth while
 # relMSE that a picture of so many pixels has at most with the fewest samples (about; nine of ten scenes): coarser targets are not worth a pilot.
 COARSE, COARSE_PIXELS = 0.04, 57_600
-# Where not even the smallest pass fits, a smaller picture is lit, and enlarged by what the camera sees at full size (`core.enlarged`), at about
+COARSEST = 0.075  # the same of the quickest pass
+# Where not even the quickest pass fits, a smaller picture is lit, and enlarged by what the camera sees at full size (`core.enlarged`), at about
 # so much of the cost of a pixel (480x270: .07 in the living room, .12 in the atrium) and with so many primary samples.
 ENLARGING, ENLARGED_SAMPLES = 0.1, 4
 ENLARGING_ITSELF = 0.3  # of that, apart from the view
@@ -132,7 +135,11 @@ class Planner:
         settings = self.settings
         if settings.target_error is None or not settings.denoise or settings.method != "importance-sampling":
             return False
-        return settings.samples + settings.gather >= MANY_RAYS and COARSE * self._by_size(COARSE_PIXELS) <= settings.target_error
+        return settings.samples + settings.gather >= MANY_RAYS and self._usual(COARSE) <= settings.target_error
+
+    def _usual(self, error: float) -> float:
+        """The relMSE that a picture of this size has where one of `COARSE_PIXELS` has `error`."""
+        return error * self._by_size(COARSE_PIXELS)
 
     def _by_size(self, pixels: int) -> float:
         """relMSE of a denoised picture by that of one of so many pixels."""
@@ -178,14 +185,14 @@ class Planner:
                 self._light(small)
                 self.reasons.append(f"{self.lit[0]}x{self.lit[1]} pixels are lit, as was asked for, and enlarged by what the camera sees")
             return small
-        if budget is None or elapsed + self._seconds_of(self.pixels) <= OVERTIME * budget:
+        if budget is None or elapsed + self._seconds_of(self.pixels, QUICKEST) <= OVERTIME * budget:
             return camera
-        self.whole, whole = self.pixels, self._seconds_of(self.pixels)
+        self.whole, whole = self.pixels, self._seconds_of(self.pixels, QUICKEST)
         small = self._fitting(camera, budget - elapsed - ENLARGING * self.cost.each * self.whole)
         if small is not camera:
             self._light(small)
             self.reasons.append(
-                f"the smallest pass of the whole picture would take about {whole:.2g} s: {self.lit[0]}x{self.lit[1]} pixels are lit, and "
+                f"the quickest pass of the whole picture would take about {whole:.2g} s: {self.lit[0]}x{self.lit[1]} pixels are lit, and "
                 "enlarged by what the camera sees"
             )
         return small
@@ -198,7 +205,7 @@ class Planner:
         if not self.lit or self.settings.time_budget is None:
             return None
         left = self.settings.time_budget - elapsed - self._enlarging
-        larger = camera if self._seconds_of(math.prod(sides(camera))) <= left else self._fitting(camera, left)
+        larger = camera if self._seconds_of(math.prod(sides(camera)), QUICKEST) <= left else self._fitting(camera, left)
         if math.prod(sides(larger)) < MUCH_LARGER * self.pixels:
             return None
         self._light(larger)
@@ -222,10 +229,10 @@ class Planner:
                 break
         return small
 
-    def _seconds_of(self, pixels: int) -> float:
-        """Of the smallest pass of a picture, and its denoising."""
+    def _seconds_of(self, pixels: int, quality: float = LEAST) -> float:
+        """Of a pass of a picture, and its denoising."""
         denoising = DENOISING["fast"] * self.machine.denoising(pixels, self.images) if self.settings.denoise else 0.0
-        return self.cost.seconds(pixels, LEAST) + denoising
+        return self.cost.seconds(pixels, quality) + denoising
 
     def first(self, elapsed: float) -> float:
         """Quality of the first pass."""
@@ -237,7 +244,7 @@ class Planner:
             return 1.0
         if self.coarse:
             self.reasons.append("the target is coarse: the fewest samples usually have a smaller error")
-            return LEAST
+            return QUICKEST if self._usual(COARSEST) <= settings.target_error else LEAST
         if not self._flown:
             passes = "two passes" if settings.denoise else "three passes"
             self.reasons.append(f"the picture is small: {passes} with the fewest samples tell its error")
@@ -256,16 +263,16 @@ class Planner:
 
         made: the quality of all passes so far.  known: by what it is known, for `reasons`.
         """
-        target = self.settings.target_error
+        target, fewest = self.settings.target_error, self.passes[0]["quality"] if made and self.passes else LEAST
         slope = ALONE_SLOPE if self.settings.denoise else SLOPE
         three = one * share_of_error(1 / GROUPS, self.settings.denoise)
 
         def wanted(error: float) -> float:
-            return LEAST * (error / target) ** (1 / slope)
+            return fewest * (error / target) ** (1 / slope)
 
         more = "more " if made else ""
         quality = self._bounded(wanted(one) - made, up=True)
-        self.foreseen = one * ((made + quality) / LEAST) ** -slope
+        self.foreseen = one * ((made + quality) / fewest) ** -slope
         if quality <= ALONE and self.foreseen <= target * (1 + 1e-6):
             self.reasons.append(f"{known}: one {more}pass of quality {quality:.3g} should have {self.foreseen:.2g}")
             self._say_when_better(self.foreseen, made + quality)
@@ -280,16 +287,19 @@ class Planner:
             return LEAST
         least = self.cost.seconds(self.pixels, LEAST)
         whole = self.cost.quality(self.pixels, left)
+        if least > left:
+            quickest = self.cost.seconds(self.pixels, QUICKEST)
+            quality = QUICKEST * max(1, math.floor(min(whole, LEAST) / QUICKEST))
+            self.reasons.append(
+                f"the smallest usual pass takes about {least:.2g} s, the quickest {quickest:.2g} s, and {max(left, 0):.2g} s of the time are left: "
+                f"one of quality {quality:.3g} alone"
+            )
+            return quality
         if self.pilot:
             share = INFORMED / self._parts(whole)
         else:
             share = BLIND if (1 - BLIND) * left > least else UNSURE
         quality = self._bounded(min(self.cost.quality(self.pixels, share * left), LARGE))
-        if least > left:
-            self.reasons.append(
-                f"the smallest pass takes about {least:.2g} s, and {max(left, 0):.2g} s of the time are left: one of it alone"
-            )
-            return LEAST
         known = "the pilot" if self.pilot else "the machine"
         self.reasons.append(f"by {known}, passes of quality {max(whole, LEAST):.2g} in all fit; the first of {quality:.3g} tells more")
         return quality
@@ -328,19 +338,19 @@ class Planner:
         found = passes.error_of_one(denoiser)
         both = passes.error_of_two(found, min(UNSEEN_NOISE, target))
         if not both > target:
-            self._say_when_better(both, LEAST)
+            self._say_when_better(both, passes.weight / passes.count)
             return None
         passes.as_it_is = False
         return self._by_one(found, passes.weight, f"two passes tell a relMSE of {found:.2g} each")
 
     def _met_by_one(self, passes: Passes, denoiser: Denoiser | None) -> bool:
         """Whether the only pass has no more noise than is usual for such an error."""
-        error = passes.error_by_noise(denoiser) * self._by_size(COARSE_PIXELS)
+        error = self._usual(passes.error_by_noise(denoiser))
         if error > NEAR_ENOUGH * self.settings.target_error:
             self.reasons.append(f"by its noise the picture's relMSE is about {error:.2g}: two passes tell it")
             return False
         passes.estimate = error
-        self._say_when_better(error, LEAST)
+        self._say_when_better(error, passes.weight / passes.count)
         return True
 
     def _next_of_budget(self, left: float) -> float | None:
@@ -355,14 +365,14 @@ class Planner:
         return max(1, math.ceil(whole / min(self.most, LARGE)))
 
     def _say_when_over(self, left: float) -> None:
-        if left < -(1 - FULL) * self.settings.time_budget and len(self.passes) == 1 and self.passes[0]["quality"] == LEAST:
-            self.reasons.append("even the smallest picture takes longer than the time given: ask for fewer pixels")
+        if left < -(1 - FULL) * self.settings.time_budget and len(self.passes) == 1 and self.passes[0]["quality"] == QUICKEST:
+            self.reasons.append("even the quickest picture takes longer than the time given: ask for fewer pixels")
 
     def _next_round(self, passes: Passes, error: float) -> float | None:
         target = self.settings.target_error
         if error <= NEAR_ENOUGH * target:
             if passes.count == GROUPS:
-                self._say_when_better(error, self.passes[0]["quality"])
+                self._say_when_better(error, passes.weight / passes.count)
             return None
         more = min(GROWTH, (error / target) ** (1 / SLOPE)) - 1
         quality = self._bounded(more * passes.weight / GROUPS)
@@ -370,7 +380,7 @@ class Planner:
         return quality
 
     def _say_when_better(self, error: float, quality: float) -> None:
-        if quality == LEAST and error < self.settings.target_error / 1.5:
+        if quality <= LEAST and error < self.settings.target_error / 1.5:
             self.reasons.append("the smallest possible picture has a smaller error than asked for")
 
     def _bounded(self, quality: float, up: bool = False) -> float:

@@ -12,7 +12,8 @@ from lumigate.core.pipeline import render
 from lumigate.core.planning import machine as machine_file
 from lumigate.core.planning.cost import BASE, MIDDLING, PassCost
 from lumigate.core.planning.machine import Machine, cached_machine, look_again
-from lumigate.core.planning.planner import AIMING, AIMING_PIXELS, COARSE, COARSE_PIXELS, HIDDEN, LEAST, MOST, Planner, reduced
+from lumigate.core.planning.planner import AIMING, AIMING_PIXELS, COARSE, COARSE_PIXELS, HIDDEN, LEAST, MOST, QUICKEST, Planner, reduced
+from lumigate.core.scene import Camera
 from lumigate.core.settings import QUALITIES, QUALITY_ERRORS, RenderSettings
 
 MACHINE = Machine(ray=1e-6, denoiser=0.01, denoiser_pixel=1e-6, threads=2)
@@ -38,7 +39,7 @@ def test_time_is_used_up_and_not_overrun(seconds, slow):
     passes, elapsed, loading = Passes(1), 0.1, 0.4
     quality = planner.first(elapsed)
     while quality is not None:
-        assert LEAST <= quality <= MOST
+        assert QUICKEST <= quality <= MOST
         took = loading + slow * (0.2 + 0.45 * (BASE + quality))
         elapsed, loading = elapsed + took, 0.0
         planner.observe(quality, took)
@@ -60,10 +61,36 @@ def test_larger_scenes_are_foreseen_to_take_longer():
 
 def test_what_cannot_fit_is_said():
     planner = Planner(RenderSettings(time_budget=0.1).with_defaults(), 1_000_000, MACHINE)
-    assert planner.first(0.05) == LEAST
-    planner.observe(LEAST, 5.0)
+    assert planner.first(0.05) == QUICKEST
+    planner.observe(QUICKEST, 5.0)
     assert planner.next(5.0, Passes(1), None) is None
     assert "fewer pixels" in planner.stats()["reasons"][-1]
+
+
+def test_fewer_rays_are_taken_before_fewer_pixels():
+    """Budgets between the quickest and the smallest usual pass of a whole picture: one pass of as many rays as there is time for."""
+    camera, qualities = Camera(np.eye(4), False, (-1, 1, -0.5625, 0.5625), 480, 270, (0, 0, 480, 270), 0.1, 100), []
+    for part in (0.5, 0.9, 1.02, 1.2, 3.0):
+        planner = Planner(RenderSettings(time_budget=1.0).with_defaults(), 480 * 270, MACHINE)
+        quickest, usual = (planner._seconds_of(480 * 270, quality) for quality in (QUICKEST, LEAST))
+        planner.settings = replace(planner.settings, time_budget=(1 - part) * quickest + part * usual if part < 2 else part * usual)
+        assert (planner.lit_camera(camera, 0.0) is camera) == (planner.lit is None)
+        assert planner.lit is None
+        qualities.append(planner.first(0.0))
+    assert qualities == sorted(qualities) and QUICKEST <= qualities[0] < LEAST and qualities[-1] >= LEAST
+    planner = Planner(RenderSettings(time_budget=0.5 * quickest).with_defaults(), 480 * 270, MACHINE)
+    small = planner.lit_camera(camera, 0.0)
+    assert small.width < 480 and planner.first(0.0) == LEAST  # of pixels that are few enough, no fewer rays
+
+
+def test_coarse_targets_take_the_quickest_pass_where_its_usual_error_is_small_enough():
+    for pixels, target, quality in (
+        (1280 * 720, 0.05, QUICKEST),
+        (1280 * 720, 0.02, LEAST),
+        (480 * 270, 0.05, LEAST),
+        (480 * 270, 0.1, QUICKEST),
+    ):
+        assert Planner(RenderSettings(target_error=target).with_defaults(), pixels, None).first(0.0) == quality
 
 
 @pytest.mark.parametrize("target", [0.05, 0.02, 0.005])
