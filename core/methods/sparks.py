@@ -18,32 +18,50 @@ BRIGHT, KEPT = np.float32(64.0), np.float32(4.0)
 # The same of light by photons, whose disks are wide: a point that alone has so much of it is a crumb, a leaf's or a rim's, on which all of a photon's light falls.
 BRIGHT_BY_PHOTONS = np.float32(8.0)
 MOST_RAISED = np.float32(2.0)  # times what lobes reflect of it may become elsewhere
+TOGETHER = 3  # pixels of a neighbourhood, at most, that are sparks
 AROUND = 5  # pixels along a side of a neighbourhood
 AREA = 64  # pixels along a side of what takes the excess
 MUCH = 0.05  # of an area's light, that it takes at most
 
 
 def spread_sparks(
-    points: ShadingPoints, light: np.ndarray, foreseen: np.ndarray, shape: tuple[int, int], bright: np.float32 = BRIGHT
+    points: ShadingPoints,
+    light: np.ndarray,
+    foreseen: np.ndarray,
+    shape: tuple[int, int],
+    bright: np.float32 = BRIGHT,
+    together: int = TOGETHER,
 ) -> np.ndarray:
     """The irradiance `light` (N, 3 G) W/m^2 of a picture's points without sparks: itself where there are none.
 
-    foreseen: (N,) W/m^2, as `methods.foreseen` has it.  shape: height and width of the picture.  bright: what is a spark, see `BRIGHT`.
+    foreseen: (N,) W/m^2, as `methods.foreseen` has it.  shape: height and width of the picture.  bright: what is a spark, see `BRIGHT`.  together: see `TOGETHER`.
     """
     whole = light.sum(axis=1) / np.float32(3)  # of all light groups, as what is foreseen
     suspects = np.flatnonzero((whole > bright * foreseen) & np.isfinite(whole))
     if not len(suspects):
         return light
     height, width = shape
-    pixels = height * width
-    # What the others within reach of a suspect have, each pixel as one.
-    number = np.maximum(np.bincount(points.pixel, minlength=pixels), 1)
-    mean = np.bincount(points.pixel, whole, pixels) / number
+    pixels, own, quiet = height * width, points.pixel[suspects], np.ones(len(whole), np.bool_)
+    quiet[suspects] = False
+
+    def within_reach(image: np.ndarray) -> np.ndarray:
+        """Sums of the pixels around each suspect, its own included."""
+        return AROUND**2 * uniform_filter(image.reshape(shape).astype(np.float64), AROUND, mode="constant").ravel()[own]
+
+    def around(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The light of points around each suspect, each pixel as one, and the number of these; and of points (P,) in each pixel."""
+        number = np.bincount(points.pixel[rows], minlength=pixels)
+        mean = np.bincount(points.pixel[rows], whole[rows], pixels) / np.maximum(number, 1)
+        return within_reach(mean), within_reach(number > 0), number
+
+    light_around, known, number = around(slice(None))
+    others = (light_around - whole[suspects] / number[own]) / np.maximum(known - 1 / number[own], 1)
+    # A few sparks side by side, as one light throws them, do not vouch for each other; many are a bright thing.
     shows = np.zeros(pixels)
-    shows[points.pixel] = 1
-    around, known = (AROUND**2 * uniform_filter(image.reshape(shape), AROUND, mode="constant").ravel() for image in (mean, shows))
-    own = points.pixel[suspects]
-    others = (around[own] - whole[suspects] / number[own]) / np.maximum(known[own] - 1 / number[own], 1)
+    shows[own] = 1
+    light_around, known, _ = around(np.flatnonzero(quiet))
+    few = (within_reach(shows) < together + 0.5) & (known > 0.5)
+    others[few] = light_around[few] / known[few]
     usual = np.maximum(foreseen[suspects], others)
     far_above = whole[suspects] > bright * usual
     if not far_above.any():
@@ -76,7 +94,7 @@ def spread_thrown(
 
     Lobes reflect the less of the photons that a point keeps less of, and elsewhere so much the more.
     """
-    spread = spread_sparks(points, thrown, foreseen, shape, BRIGHT_BY_PHOTONS)
+    spread = spread_sparks(points, thrown, foreseen, shape, BRIGHT_BY_PHOTONS, 0)
     if spread is thrown or not len(shown):
         return spread, shown
     before = thrown.sum(axis=1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lumigate.core.methods.sparks import AROUND, KEPT, MUCH, spread_sparks, spread_thrown
+from lumigate.core.methods.sparks import AROUND, KEPT, MUCH, TOGETHER, spread_sparks, spread_thrown
 from lumigate.core.view.points import ShadingPoints
 
 SHAPE = 72, 100
@@ -54,6 +54,20 @@ def test_a_spark_is_spread_and_no_light_lost(points, columns, strength):
         assert raised[far[others]].max() < MUCH / 5
     else:  # the whole picture takes it
         assert np.ptp(raised, axis=0).max() < 3 * MUCH < raised.max()
+
+
+@pytest.mark.parametrize(("together", "spread"), [(2, True), (TOGETHER, True), (TOGETHER + 1, False)])
+def test_sparks_side_by_side_do_not_vouch_for_each_other(points, together, spread):
+    """Each is less than 64 times the mean around it, the others included."""
+    light, foreseen = lit(len(points.pixel))
+    sparks = np.array([2 * (30 * SHAPE[1] + 40 + k % 2 + k // 2 * SHAPE[1]) for k in range(together)])
+    light[sparks] = 500
+    found = spread_sparks(points, light, foreseen, SHAPE)
+    assert (found is not light) == spread
+    if spread:
+        assert found[sparks].mean() < 2.5 * KEPT
+        sent = [(points.albedo * x.astype(float)).sum(axis=0) for x in (light, found)]
+        np.testing.assert_allclose(sent[1], sent[0], rtol=1e-5)
 
 
 def test_a_photon_on_a_crumb_is_spread_with_what_lobes_reflect_of_it(points):
