@@ -32,7 +32,7 @@ from ..sampling.hashing import hash_combine, uniform
 from ..sampling.maps import orthonormal_basis
 from ..sampling.sequences import sobol
 from ..scene import ANGLED, DIFFUSE, FROSTED, METAL, POINT, REFRACTIVE, SHADOW, SPOT, SUN, TRANSPARENT, bounds
-from ..surfaces.bending import bent, scattered
+from ..surfaces.bending import GOES_STRAIGHT, TURNS, bent, scattered
 from ..surfaces.brushed import ROUGHEST
 from ..surfaces.frosted import joined_alpha, rest_alpha
 from ..surfaces.layout import BEND, FROST, REFRACTION, ROUGHNESS, SURFACE, TRANSLUCENCY, TRANSPARENCY, passing_chance
@@ -347,7 +347,7 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                     qx, qy, qz = px, py, pz
                 glasses += 1
                 material = scene.material[triangle]
-                turns = False
+                turn = GOES_STRAIGHT
                 eta = surface[BEND]
                 sheets += bends_most(surface)
                 front = surface[TRANSPARENCY] + surface[TRANSPARENCY + 1] + surface[TRANSPARENCY + 2]
@@ -357,7 +357,8 @@ def _fly(scene, begin, end, seed, lobes, bounces, photons):
                 surface[FROST] = rest_alpha(frost, joined)
                 frost = max(frost, joined)
                 if abs(eta - _1) > STRAIGHT_ON and not reverse:  # what leaves such a solid goes straight on, as its reverse is seen
-                    turns, ox, oy, oz, dx, dy, dz = bent(scene.materials, scene, material, triangle, u, v, dx, dy, dz, surface)
+                    turn, ox, oy, oz, dx, dy, dz = bent(scene.materials, scene, material, triangle, u, v, dx, dy, dz, surface, False)
+                turns = turn == TURNS
                 if not turns:
                     entered = passed_glass(entered, behind)
                 if behind:

@@ -58,7 +58,7 @@ from ..surfaces.layout import (
     take_lobe,
     translucency,
 )
-from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, goes_past, is_behind, lobe_cosine, reflection_count, sample_above
+from ..surfaces.lobes import ALPHA, LOBE, NEGLIGIBLE, goes_past, is_behind, lobe_cosine, reflection_count, sample_above, seen_cosine
 from ..surfaces.normals import shading_normal, surface_side
 from ..surfaces.program import evaluate, from_within, new_registers, specular_view
 from ..surfaces.visibility import BY_FROST, BY_LENS, OUTSIDE
@@ -293,7 +293,7 @@ def _reflect_chunk(
             px, py, pz, hx, hy, hz, p_error = hit_point(scene.vertices, scene.triangles, triangle, u, v)
             nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, hx, hy, hz)
             behind = hx * ex + hy * ey + hz * ez > 0
-            cosine = min(_1, abs(nx * ex + ny * ey + nz * ez))
+            cosine = seen_cosine(flags, nx, ny, nz, hx, hy, hz, ex, ey, ez)
             narrow = max(surface[GLOSSY_F90], surface[GLOSSY_F90 + 1], surface[GLOSSY_F90 + 2]) > NEGLIGIBLE and (
                 surface[ROUGHNESS] < NARROW or is_brushed(surface)
             )

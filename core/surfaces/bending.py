@@ -14,7 +14,7 @@ from ..scene import ANGLED, GLOSSY, REFRACTIVE, TRANSPARENT
 from .arithmetic import normalized
 from .frosted import seen_through
 from .layout import BEND, FROST, REFRACTION, TRANSPARENCY, as_if_whole, largest_kept
-from .lobes import sample_lobe, set_lobe
+from .lobes import sample_lobe, set_lobe, specular_normal
 from .normals import mapped_normal, sees_back, shading_normal
 from .visibility import MAX_PASSED, OUTSIDE, STRAIGHT_ON, begins_in, bends_most, evaluate_along, is_lens, is_sheet, passed_glass
 
@@ -22,6 +22,8 @@ from .visibility import MAX_PASSED, OUTSIDE, STRAIGHT_ON, begins_in, bends_most,
 # that is met there.  PARTS: of a way at most.
 ORIGIN, ALONG, BEGIN, END, WEIGHT, PART = 0, 3, 6, 7, 8, 11
 PARTS = 16
+GOES_STRAIGHT, TURNS, LOST = 0, 1, 2  # what glass does to a ray (`bent`)
+MOST_BENT = np.float32(0.025)  # width of the lobe of frosted glass up to which it bends what is seen: by a roughness of .3 straight on
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -34,6 +36,7 @@ def scattered(materials, geometry, material, triangle, u, v, dx, dy, dz, u1, u2,
     sx, sy, sz = mapped_normal(materials, material, surface, sx, sy, sz)
     if gx * dx + gy * dy + gz * dz < _0:
         gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+    sx, sy, sz = specular_normal(sx, sy, sz, gx, gy, gz, dx, dy, dz)
     wx, wy, wz = seen_through(sx, sy, sz, -dx, -dy, -dz)
     set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, np.float32(math.sqrt(surface[FROST])), _1, _1, _1, _1, _1, _1)
     dx, dy, dz, w, _, _, _ = sample_lobe(lobe, u1, u2)
@@ -44,10 +47,12 @@ def scattered(materials, geometry, material, triangle, u, v, dx, dy, dz, u1, u2,
 
 
 @leaf
-def bent(materials, geometry, material, triangle, u, v, dx, dy, dz, surface):
-    """How a sample along d goes on through clear glass, whose `surface` is evaluated, by Snell's law: (whether it turns, origin, direction).
+def bent(materials, geometry, material, triangle, u, v, dx, dy, dz, surface, seen):
+    """How a sample along d goes on through glass, whose `surface` is evaluated, by Snell's law: (`TURNS`, origin, direction), or `GOES_STRAIGHT`, or `LOST`.
 
-    Only what has a thickness bends it for good; a solid's back bends it the other way.
+    Only what has a thickness bends it for good; a solid's back bends it the other way.  Lost is what smooth normals would send back to the side from which it comes, as in Cycles
+    (kernel/closure/bsdf_microfacet.h): going straight, it showed a lamp in the wall of a tumbler that shares its normals with the rim.  Photons, which are not `seen`, come
+    from the other end, for which Cycles' rays have other normals: these are as they are, and nothing is lost.
     """
     x, y, z, gx, gy, gz, error = hit_point(geometry.vertices, geometry.triangles, triangle, u, v)
     sx, sy, sz = shading_normal(geometry.corner_normals, triangle, u, v, gx, gy, gz)
@@ -57,16 +62,18 @@ def bent(materials, geometry, material, triangle, u, v, dx, dy, dz, surface):
         gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
     else:
         eta = surface[BEND]
+    if seen:
+        sx, sy, sz = specular_normal(sx, sy, sz, gx, gy, gz, dx, dy, dz)  # of the other side, and so is d
     cosine = sx * dx + sy * dy + sz * dz
     within = _1 - eta * eta * (_1 - cosine * cosine)
     if not (within > _0 and cosine > _0):
-        return False, x, y, z, dx, dy, dz
+        return GOES_STRAIGHT, x, y, z, dx, dy, dz
     along = np.float32(math.sqrt(within)) - eta * cosine
     tx, ty, tz = normalized(eta * dx + along * sx, eta * dy + along * sy, eta * dz + along * sz)
     if gx * tx + gy * ty + gz * tz <= _0:
-        return False, x, y, z, dx, dy, dz
+        return LOST if seen else GOES_STRAIGHT, x, y, z, dx, dy, dz
     x, y, z = offset_origin(x, y, z, gx, gy, gz, error, tx, ty, tz)
-    return True, x, y, z, tx, ty, tz
+    return TURNS, x, y, z, tx, ty, tz
 
 
 @leaf
@@ -76,7 +83,7 @@ def nearest_reflected(scene, packet, rows, surface, bends, whole, ox, oy, oz, dx
     parts: (PARTS, PART) float32, where what lies between two surfaces is written, beyond lenses and sheets, or all of it if `whole`.  Of what shines there and hides
     nothing all must be counted, by the weight of the way so far: whether the way ends or passes at the next surface has no say in it.
     Returns what that does, t being the length of the whole way (m), and then by how much the surface is brighter that was made `as_if_whole` (1: it was not), whether a lens is on it, beyond which no shadow ray finds anything (2), or a sheet,
-    beyond which none finds lamps (1; 0 for neither), the direction of its last part, and the number of parts.  Bent by Snell's law, as `bent` has it; frosted glass
+    beyond which none finds lamps (1; 0 for neither), the direction of its last part, and the number of parts.  Bent by Snell's law, as `bent` has it; what is frosted more than a little
     is passed straight.
     """
     r = g = b = clear = _1
@@ -120,17 +127,20 @@ def nearest_reflected(scene, packet, rows, surface, bends, whole, ox, oy, oz, dx
             continue
         clear *= max(_0, _1 - refracted / (tr + tg + tb))
         glasses += 1
-        if fronts == 0 and begins_in(surface, behind, begun):
+        own = fronts == 0 and begins_in(surface, behind, begun)
+        if own:
             begun -= 1
         else:
             sheets += bends_most(surface)
         fronts = max(fronts - 1, 0) if behind else fronts + 1
         nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, _0, _0, _0)
         x, y, z = x + nx, y + ny, z + nz
-        turns = False
-        if bends and not surface[FROST] > _0 and abs(surface[BEND] - _1) > STRAIGHT_ON:
-            turns, px, py, pz, fx, fy, fz = bent(scene.materials, scene, scene.material[triangle], triangle, u, v, ex, ey, ez, surface)
-        if turns:  # it meets the back at the angle at which it is within
+        turn = GOES_STRAIGHT
+        if bends and not own and surface[FROST] <= MOST_BENT and abs(surface[BEND] - _1) > STRAIGHT_ON:
+            turn, px, py, pz, fx, fy, fz = bent(scene.materials, scene, scene.material[triangle], triangle, u, v, ex, ey, ez, surface, True)
+        if turn == LOST:
+            break
+        if turn == TURNS:  # it meets the back at the angle at which it is within
             ox, oy, oz, ex, ey, ez = px, py, pz, fx, fy, fz
             before, start = before + t, _0
         else:

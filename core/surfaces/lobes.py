@@ -14,7 +14,7 @@ import numpy as np
 
 from ..jit import inlined, kernel, leaf
 from ..sampling.maps import orthonormal_basis
-from ..scene import PAST_NORMAL
+from ..scene import ANGLED, PAST_NORMAL, REFRACTIVE
 from . import ggx
 from .microfacet import SMALLEST_ALPHA, reflect_by_facet, smith_lambda
 
@@ -84,6 +84,18 @@ def lobe_cosine(nx, ny, nz, gx, gy, gz, ox, oy, oz):
     """Cosine (0..1) between the view o and the normal that lobes have, on one side of the surface: by it they take their share of what lies below."""
     nx, ny, nz = specular_normal(nx, ny, nz, gx, gy, gz, ox, oy, oz)
     return min(max(ox * nx + oy * ny + oz * nz, _0), _1)
+
+
+@inlined
+def seen_cosine(flags, nx, ny, nz, gx, gy, gz, dx, dy, dz):
+    """Cosine (0..1) of a ray along the unit d by which a surface with the normals n and, geometric, g is evaluated: glass reflects and bends by the normal that lobes have.
+
+    Walls of a tumbler that share their normals with its rim pass light by the interpolated ones where all of it is reflected.  Nodes that ask for the angle have the interpolated one.
+    """
+    if flags & (REFRACTIVE | ANGLED) == REFRACTIVE:
+        side = -_1 if gx * dx + gy * dy + gz * dz > _0 else _1
+        return lobe_cosine(side * nx, side * ny, side * nz, side * gx, side * gy, side * gz, -dx, -dy, -dz)
+    return min(_1, abs(nx * dx + ny * dy + nz * dz))
 
 
 @kernel

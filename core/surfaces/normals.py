@@ -8,6 +8,7 @@ import numpy as np
 
 from ..jit import inlined
 from ..scene import COVERED, NORMAL_MAPPED
+from .arithmetic import normalized
 from .layout import NORMAL
 
 
@@ -23,6 +24,15 @@ def shading_normal(corner_normals, triangle, u, v, gx, gy, gz):
         return gx, gy, gz
     s = np.float32(1.0) / np.float32(math.sqrt(length2))
     return x * s, y * s, z * s
+
+
+@inlined
+def geometric_normal(vertices, triangles, triangle):
+    """Unit normal of a triangle."""
+    a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+    ex, ey, ez = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+    fx, fy, fz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    return normalized(ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx)
 
 
 @inlined

@@ -20,7 +20,8 @@ from ..rays.trace import ALL, COHERENT, CUTOUT, OPAQUE, intersect1, occluded_pac
 from ..sampling.hashing import uniform
 from ..scene import ANGLED, DIFFUSE, GLOSSY, REFRACTIVE, TRANSPARENT
 from .layout import BEND, FROST, REFRACTION, STRAY, TRANSPARENCY, as_if_whole, passing_chance
-from .normals import sees_back, shading_normal
+from .lobes import seen_cosine
+from .normals import geometric_normal, sees_back, shading_normal
 from .program import MEAN_VIEW, evaluate, from_within, reflected_view, specular_view
 
 STRAIGHT_ON = np.float32(1e-3)  # distance of an index of refraction from 1 up to which glass bends nothing
@@ -46,7 +47,10 @@ def _evaluate_along(scene, triangle, u, v, dx, dy, dz, kind, entered, rows, surf
     if flags & (REFRACTIVE | ANGLED):
         nx, ny, nz = shading_normal(scene.corner_normals, triangle, u, v, _0, _0, _0)
         length = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz))
-        cosine = min(_1, abs(nx * dx + ny * dy + nz * dz) / length)
+        gx = gy = gz = _0
+        if flags & REFRACTIVE:
+            gx, gy, gz = geometric_normal(scene.vertices, scene.triangles, triangle)
+        cosine = seen_cosine(flags, nx, ny, nz, gx, gy, gz, dx / length, dy / length, dz / length)
         behind = sees_back(scene.vertices, scene.triangles, triangle, dx, dy, dz)
         cosine = -cosine if behind else cosine
         cosine = reflected_view(cosine) if kind == DIFFUSE else specular_view(cosine, kind)

@@ -40,7 +40,7 @@ from ..scene import (
     TRANSPARENT,
 )
 from ..surfaces.arithmetic import normalized
-from ..surfaces.bending import bent, scattered
+from ..surfaces.bending import GOES_STRAIGHT, LOST, MOST_BENT, TURNS, bent, scattered
 from ..surfaces.bumps import mean_shadowing
 from ..surfaces.covers import looks_covered
 from ..surfaces.frosted import joined_alpha
@@ -69,7 +69,7 @@ from ..surfaces.layout import (
     largest_kept,
     translucency,
 )
-from ..surfaces.lobes import ALPHA, LOBE, lobe_cosine, sample_lobe, set_lobe
+from ..surfaces.lobes import ALPHA, LOBE, lobe_cosine, sample_lobe, seen_cosine, set_lobe
 from ..surfaces.microfacet import SMALLEST_ALPHA
 from ..surfaces.normals import mapped_normal, shading_normal
 from ..surfaces.program import evaluate, from_within, specular_view
@@ -252,7 +252,7 @@ def _view_cosine(vertices, triangles, corner_normals, flags, triangle, u, v, dx,
     fx, fy, fz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
     gx, gy, gz = normalized(ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx)
     sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
-    cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
+    cosine = seen_cosine(flags, sx, sy, sz, gx, gy, gz, dx, dy, dz)
     behind = gx * dx + gy * dy + gz * dz > 0
     return _signed(flags, cosine, behind, kind, entered), behind
 
@@ -300,7 +300,7 @@ def _reflected(materials, geometry, material, triangle, u, v, dx, dy, dz, kind, 
     x, y, z, gx, gy, gz, error = hit_point(geometry.vertices, geometry.triangles, triangle, u, v)
     sx, sy, sz = shading_normal(geometry.corner_normals, triangle, u, v, gx, gy, gz)
     behind = gx * dx + gy * dy + gz * dz > 0
-    cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
+    cosine = seen_cosine(materials.flags[material], sx, sy, sz, gx, gy, gz, dx, dy, dz)
     signed = _signed(materials.flags[material], cosine, behind, kind, entered)
     evaluate(materials, material, geometry.attributes, triangle, u, v, signed, rows, surface)
     if surface[ROUGHNESS] > POLISHED:
@@ -495,7 +495,12 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                     tile.choice[lane, 0], tile.choice[lane, 1] = uniform(seed, number, s, 2 + layer), _1
                 # Through frosted glass a sample looks by the pane's own lobe, and needs no further row.
                 room = glass[pixel, s] + tile.parted[lane] < PANES
-                blurred = frost > (POLISHED * POLISHED if room else PERFECT * PERFECT) and tile.frosted[lane] < 0
+                least = PERFECT * PERFECT
+                if abs(surface[BEND] - _1) > STRAIGHT_ON:  # to the lobe it would be as straight as a thin wall
+                    least = MOST_BENT
+                elif room:
+                    least = POLISHED * POLISHED
+                blurred = frost > least and tile.frosted[lane] < 0
                 way, r, g, b, w, x, p = _way_on(surface, tile.choice[lane, 0], tile.parted[lane] == 0, room or blurred)
                 if way == SHOWN | STRAIGHT:
                     tile.parted[lane] = 1
@@ -514,17 +519,22 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                     if max(r, g, b) > _0:
                         way = SHOWN | REFLECTED
             seen_by_lobe = frost > PERFECT * PERFECT and way & REFRACTED and tile.frosted[lane] < 0
-            if way & REFRACTED and frost > _0:
+            turn = GOES_STRAIGHT
+            if way & REFRACTED and abs(surface[BEND] - _1) > STRAIGHT_ON:
+                turn, bx, by, bz, ex, ey, ez = bent(materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, surface, True)
+                if turn == TURNS:
+                    ox, oy, oz, dx, dy, dz = bx, by, bz, ex, ey, ez
+                    if not behind:  # within, it is narrower
+                        surface[FROST] /= surface[BEND]
+                elif turn == LOST:
+                    r = g = b = _0
+            turns = turn == TURNS
+            if way & REFRACTED and frost > _0 and turn != LOST:  # about the way that clear glass would send it
                 ox, oy, oz, dx, dy, dz, x = scattered(
                     materials, geometry, material[triangle], triangle, u, v, dx, dy, dz,
                     uniform(seed, number, s, 100 + layer), uniform(seed, number, s, 200 + layer), surface, tile.lobe,
                 )  # fmt: skip
                 r, g, b = x * r, x * g, x * b
-            turns = False
-            if way & REFRACTED and not frost > _0 and abs(surface[BEND] - _1) > STRAIGHT_ON:
-                turns, bx, by, bz, ex, ey, ez = bent(materials, geometry, material[triangle], triangle, u, v, dx, dy, dz, surface)
-                if turns:
-                    ox, oy, oz, dx, dy, dz = bx, by, bz, ex, ey, ez
             if way & SHOWN:
                 row = s
                 if way & (STRAIGHT | REFRACTED | REFLECTED):  # the sample goes on beyond a pane, which gets a row of its own
@@ -658,7 +668,7 @@ def add_rows(camera, materials, geometry, world, world_visibility, world_group, 
             x, y, z, gx, gy, gz, error = hit_point(vertices, triangle_vertices, triangle, u, v)
             sx, sy, sz = shading_normal(corner_normals, triangle, u, v, gx, gy, gz)
             behind = gx * dx + gy * dy + gz * dz > 0
-            cosine = min(_1, abs(sx * dx + sy * dy + sz * dz))
+            cosine = seen_cosine(materials.flags[material[triangle]], sx, sy, sz, gx, gy, gz, dx, dy, dz)
             signed = _signed(materials.flags[material[triangle]], cosine, behind, tile.kinds[pixel, s], tile.entered[pixel, s])
             evaluate(materials, material[triangle], attributes, triangle, u, v, signed, rows, surface)
             cx, cy, cz = sx, sy, sz
