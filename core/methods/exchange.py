@@ -203,7 +203,7 @@ class Exchange:
     def solve(self, bounces: int, row: int, thrown: Thrown | None, go_on: Callable[[float], None]) -> Exchanged:
         """The light after each of the bounces.
 
-        row: which of them gather rays look up.  thrown: what lobes throw on surfaces, if that is known.  go_on: told the done fraction.
+        row: which of them gather rays look up, -1 for none.  thrown: what lobes throw on surfaces, if that is known.  go_on: told the done fraction.
         """
         fixed, shone, later, sent = self.fixed, self.one, self.direct, self.sent
         several, known, gained_of = bool(self.one.any() and self.glossy > fixed), np.zeros(0, np.float32), _0
@@ -222,7 +222,7 @@ class Exchange:
             np.zeros((bounces, *self.direct.shape), np.float32),
             np.zeros((len(self.link), self.direct.shape[1]), np.float32),
         )
-        scale, found = np.ones(len(self.parent), np.float32), None
+        scale, found = np.ones(len(self.parent), np.float32), [np.zeros_like(self.direct_of)] * 5
         for bounce in range(bounces):
             light = radiosity[bounce]
             before, to_find = np.zeros_like(light), np.bincount(self.seen_root, sent if bounce else self.sent_soonest, len(self.parent))

@@ -182,6 +182,13 @@ def test_cells_of_one_light_group_and_of_nothing():
     assert not any(part.any() for part in found)
 
 
+def test_nothing_is_looked_up_where_no_bounce_is():
+    found = Exchange(*random_room(), threads=1).solve(1, -1, None, lambda done: None)
+    assert found.radiosity.any() and not any(
+        part.any() for part in (found.halves, found.shine, found.first_of, found.beneath, found.through)
+    )
+
+
 def test_light_is_the_same_for_any_number_of_threads():
     found = [Exchange(*random_room(seed=3), threads=threads).solve(4, 3, None, lambda done: None) for threads in (1, 3)]
     for one, other in zip(*found, strict=True):
