@@ -7,9 +7,9 @@ from scipy.spatial import cKDTree
 
 from ..jit import kernel
 
-# What half of the paths tells of a cell beyond so many times what the other half knows of it, and beyond a part of the view's mean light, is
+# What half of the paths tells of a cell beyond so many times what the other half knows of it, and beyond the view's mean light, is
 # a rare path: it is spread over the cells of the next coarser one.  In one cell it would be a spark.
-RARE, FAINT = np.float32(2.0), np.float32(0.1)
+RARE = np.float32(2.0)
 # A virtual light is too strong that would give so many times the view's mean light at a tenth of its size: it stands for a place that few
 # particles reach, and would be a spark on what little of the view it sees.
 STRONG = 20.0
@@ -56,7 +56,7 @@ def _divide(
             for k in range(width):
                 own += halves[h, c, k]
             own *= _THIRD
-            bound = RARE * bright[h, c] + FAINT * tau
+            bound = RARE * bright[h, c] + tau
             beyond = _0
             if own > bound and parent[c] >= 0:
                 beyond = _1 - bound / own

@@ -18,7 +18,7 @@ from lumigate.core.methods.exchange import (
     Thrown,
     turns_to_settle,
 )
-from lumigate.core.methods.partition import FAINT, RARE, divided
+from lumigate.core.methods.partition import RARE, divided
 
 CELLS = (120, 40, 12, 4)  # of each level
 
@@ -205,7 +205,7 @@ def test_light_is_divided_between_lights_and_rays_as_written_out():
     bright, number, parent = rng.random((2, n)) ** 3, rng.random(n), np.where(np.arange(n) < 350, rng.integers(350, n, n), -1)
     share = bright / (bright + tau)
     share += relied * (1 - share)
-    own, bound = halves.sum(axis=2) / 3, RARE * bright + FAINT * tau
+    own, bound = halves.sum(axis=2) / 3, RARE * bright + tau
     beyond = np.where((own > bound) & (parent >= 0), 1 - bound / own, 0)[..., None]
     lights = share[..., None] * (first - beneath + later * (halves - first - through)) + (1 - share)[..., None] * shine
     expected = []
