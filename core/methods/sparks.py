@@ -14,7 +14,7 @@ from ..view.points import ShadingPoints
 
 # Times what is foreseen of a point and what its neighbours have.  A denoiser knows what to do with less, and where it belongs: at 8, cathedral and
 # gallery had 1 to 3 % more error.  A spark keeps so many times that.
-BRIGHT, KEPT = np.float32(64.0), np.float32(4.0)
+BRIGHT, KEPT = np.float32(24.0), np.float32(4.0)
 # The same of light by photons, whose disks are wide: a point that alone has so much of it is a crumb, a leaf's or a rim's, on which all of a photon's light falls.
 BRIGHT_BY_PHOTONS = np.float32(8.0)
 MOST_RAISED = np.float32(2.0)  # times what lobes reflect of it may become elsewhere

@@ -58,7 +58,7 @@ def test_a_spark_is_spread_and_no_light_lost(points, columns, strength):
 
 @pytest.mark.parametrize(("together", "spread"), [(2, True), (TOGETHER, True), (TOGETHER + 1, False)])
 def test_sparks_side_by_side_do_not_vouch_for_each_other(points, together, spread):
-    """Each is less than 64 times the mean around it, the others included."""
+    """Each is less than 24 times the mean around it, the others included."""
     light, foreseen = lit(len(points.pixel))
     sparks = np.array([2 * (30 * SHAPE[1] + 40 + k % 2 + k // 2 * SHAPE[1]) for k in range(together)])
     light[sparks] = 500
