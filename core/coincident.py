@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .jit import kernel, leaf
-from .scene import CONSTANT, COVERED, DIFFUSE, EMISSIVE, REFRACTIVE, SHADOW, TRANSPARENT, Geometry, Scene
+from .scene import ANGLED, CONSTANT, COVERED, DIFFUSE, EMISSIVE, REFRACTIVE, SHADOW, TELLING, TRANSPARENT, Geometry, Scene
 from .surfaces.covers import BARE, WHOLE, CoveredPlaces, coverers
 from .surfaces.layout import SURFACE
 from .surfaces.program import COVERED_PARTS
@@ -91,21 +91,22 @@ def _within(corners, j, x, y, least):
 
 
 @leaf
-def _coverer(corners, k, x, y, least, low_x, low_y, scale_x, scale_y, side, first, listed):
+def _coverer(corners, clear, k, x, y, least, low_x, low_y, scale_x, scale_y, side, first, listed):
     """A triangle other than k that holds a place, -1 for none; cells are filled, and begin where their predecessor does in `first`."""
     cell = _cell(y, low_y, scale_y, side) * side + _cell(x, low_x, scale_x, side)
     for at in range(first[cell - 1] if cell > 0 else 0, first[cell]):
-        if listed[at] != k and _within(corners, listed[at], x, y, least):
-            return listed[at]
+        j = listed[at]
+        if j != k and not (clear[j] and clear[k]) and _within(corners, j, x, y, least):
+            return j
     return np.int64(-1)
 
 
 @leaf
-def _is_covered(corners, k, low_x, low_y, scale_x, scale_y, side, first, listed):
+def _is_covered(corners, clear, k, low_x, low_y, scale_x, scale_y, side, first, listed):
     """Whether other triangles cover triangle k wherever it is looked at."""
     ax, ay, bx, by, cx, cy = corners[k, 0, 0], corners[k, 0, 1], corners[k, 1, 0], corners[k, 1, 1], corners[k, 2, 0], corners[k, 2, 1]
     x, y = 0.5 * ax + 0.3 * bx + 0.2 * cx, 0.5 * ay + 0.3 * by + 0.2 * cy
-    by_one = _coverer(corners, k, x, y, 1e-4, low_x, low_y, scale_x, scale_y, side, first, listed)
+    by_one = _coverer(corners, clear, k, x, y, 1e-4, low_x, low_y, scale_x, scale_y, side, first, listed)
     if by_one < 0:
         return False
     near, far = 0.99, 0.005
@@ -125,7 +126,7 @@ def _is_covered(corners, k, low_x, low_y, scale_x, scale_y, side, first, listed)
                 u, v = (i + (1 + upper) / 3) / LOOKS, (j + (1 + upper) / 3) / LOOKS
                 x, y = u * ax + v * bx + (1 - u - v) * cx, u * ay + v * by + (1 - u - v) * cy
                 # They may lie on the edge between two.
-                if _coverer(corners, k, x, y, -1e-4, low_x, low_y, scale_x, scale_y, side, first, listed) < 0:
+                if _coverer(corners, clear, k, x, y, -1e-4, low_x, low_y, scale_x, scale_y, side, first, listed) < 0:
                     return False
     return True
 
@@ -162,7 +163,7 @@ def _overlap(corners, k, j):
 
 
 @kernel
-def _list_overlaps(corners, covered, low_x, low_y, scale_x, scale_y, side, first, listed, boxes, pairs, n):
+def _list_overlaps(corners, clear, covered, low_x, low_y, scale_x, scale_y, side, first, listed, boxes, pairs, n):
     """Adds to the `n` rows of `pairs` (M, 2) the triangles that are not covered as a whole, each with one that overlaps it; how many there are then.
 
     boxes: (len(listed), 4) float64, the least and the largest x and y of the triangles, as they are listed.
@@ -177,7 +178,7 @@ def _list_overlaps(corners, covered, low_x, low_y, scale_x, scale_y, side, first
                     continue
                 y0, y1 = max(boxes[one, 2], boxes[two, 2]), min(boxes[one, 3], boxes[two, 3])
                 j = listed[two]
-                if not y0 < y1 or (covered[k] and covered[j]):
+                if not y0 < y1 or (covered[k] and covered[j]) or (clear[k] and clear[j]):
                     continue
                 # Of the cells that list both, the one with this corner of what their boxes share.
                 if _cell(y0, low_y, scale_y, side) * side + _cell(x0, low_x, scale_x, side) != cell or not _overlap(corners, k, j):
@@ -191,10 +192,11 @@ def _list_overlaps(corners, covered, low_x, low_y, scale_x, scale_y, side, first
 
 
 @kernel
-def _mark_covered(corners, start, covered, pairs):
+def _mark_covered(corners, clear, start, covered, pairs):
     """Marks the triangles (N,) that other triangles of their plane cover; how many pairs of one that is covered in part and its coverer there are.
 
-    corners: (N, 3, 2) float64, plane by plane.  start: (P + 1,), the planes.  pairs: (M, 2) int64, as many of them as there is room for.
+    corners: (N, 3, 2) float64, plane by plane.  clear: (N,) bool, which of them are of glass, and do not count on each other.  start: (P + 1,), the
+    planes.  pairs: (M, 2) int64, as many of them as there is room for.
     """
     listed_pairs, left = 0, MOST_PAIRS
     for p in range(len(start) - 1):
@@ -236,7 +238,7 @@ def _mark_covered(corners, start, covered, pairs):
                 for cell in range(side * side):
                     first[cell + 1] += first[cell]
         for k in range(begin, end):
-            covered[k] = _is_covered(corners, k, low_x, low_y, scale_x, scale_y, side, first, listed)
+            covered[k] = _is_covered(corners, clear, k, low_x, low_y, scale_x, scale_y, side, first, listed)
         work = 0
         for cell in range(side * side):
             count = first[cell] - (first[cell - 1] if cell > 0 else 0)
@@ -248,7 +250,9 @@ def _mark_covered(corners, start, covered, pairs):
                 own = corners[listed[at]]
                 boxes[at, 0], boxes[at, 1] = min(own[0, 0], own[1, 0], own[2, 0]), max(own[0, 0], own[1, 0], own[2, 0])
                 boxes[at, 2], boxes[at, 3] = min(own[0, 1], own[1, 1], own[2, 1]), max(own[0, 1], own[1, 1], own[2, 1])
-            listed_pairs = _list_overlaps(corners, covered, low_x, low_y, scale_x, scale_y, side, first, listed, boxes, pairs, listed_pairs)
+            listed_pairs = _list_overlaps(
+                corners, clear, covered, low_x, low_y, scale_x, scale_y, side, first, listed, boxes, pairs, listed_pairs
+            )
     return listed_pairs
 
 
@@ -274,11 +278,12 @@ class Coincident(NamedTuple):
 
 
 def coincident(scene: Scene) -> Coincident:
-    """The triangles in planes across an axis that others cover, and in which parts: opaque ones, which all rays see, on both sides."""
+    """The triangles in planes across an axis that others cover, and in which parts: opaque ones and glass on them, which all rays see, on both sides."""
     geometry, materials = scene.geometry, scene.materials.tables
     seen = (geometry.object_visibility & (DIFFUSE | SHADOW)) == DIFFUSE | SHADOW
-    opaque = (materials.flags & (TRANSPARENT | REFRACTIVE)) == 0
-    wanted = seen[geometry.object] & opaque[geometry.material]
+    glass = materials.flags & REFRACTIVE != 0
+    counts = (materials.flags & TRANSPARENT == 0) | (glass & (materials.flags & (ANGLED | TELLING) == 0))
+    wanted = seen[geometry.object] & counts[geometry.material]
     index, axis, place = (np.empty(len(wanted), kind) for kind in (np.int64, np.int64, np.float32))
     n = _across_axes(geometry.vertices, geometry.triangles, wanted, np.asarray(scene.origin, np.float64), index, axis, place)
     if n < 2:
@@ -292,7 +297,7 @@ def coincident(scene: Scene) -> Coincident:
         here = axis == k
         flat[here] = corners[here][..., [(k + 1) % 3, (k + 2) % 3]]
     covered, pairs = np.zeros(n, np.bool_), np.empty((MOST_LISTED, 2), np.int64)
-    listed = _mark_covered(flat, np.concatenate([[0], start, [n]]), covered, pairs)
+    listed = _mark_covered(flat, glass[geometry.material[index]], np.concatenate([[0], start, [n]]), covered, pairs)
     return _in_parts(index, flat, covered, pairs[:listed] if listed <= MOST_LISTED else pairs[:0])
 
 

@@ -20,7 +20,7 @@ from .sharp_shadows import SharpLight, doubt_of, give_shadows_back
 from .subpixel import PointLight, give_back, joined
 from .surfaces.lobes import NEGLIGIBLE
 from .threads import run_chunks
-from .view.points import GRAZING, ShadingPoints, glossy_albedos
+from .view.points import BEHIND, GRAZING, SCATTERED, ShadingPoints, glossy_albedos
 from .view.primary import View
 
 MIRRORED, MIRRORED_PIXELS = 0.1, 0.01  # albedo in a mirror that a denoiser goes by, and the least share of the pixels
@@ -150,7 +150,7 @@ class Picture:
             position=seen.position,
             depth=seen.depth,
             weight=weight,
-            glossy_albedo=splat(seen.points, glossy_albedos(seen.points), seen.shape),
+            glossy_albedo=_without_chance(seen.points, glossy_albedos(seen.points), seen.shape),
             mirrored_albedo=splat(seen.points, mirrored_albedo, seen.shape) if mirrored_albedo.any() else None,
             sharp=sharp,
             unshadowed=unshadowed,
@@ -449,13 +449,33 @@ def nearest_triangles(seen: View) -> np.ndarray:
 
 
 def denoising_guides(seen: View) -> tuple[np.ndarray, np.ndarray]:
-    """Albedo and mean normal (H, W, 3) that tell the denoiser where edges are: where there is glass, those of what it shows."""
+    """Albedo and mean normal (H, W, 3) that tell the denoiser where edges are: where there is glass, those of what it shows.
+
+    What frosted glass shows by a ray or two of each pixel is noise, which the denoiser would leave as it is: it gets the mean around, and the pane's normal.
+    """
     behind = seen.points.take(seen.points.behind_glass > 0)
     if len(behind.pixel) == 0:
         return seen.albedo, seen.mean_normal
-    through = splat(behind, behind.albedo, seen.shape)
-    shown = behind.albedo.mean(axis=1, keepdims=True)
+    clear = behind.behind_glass == BEHIND
+    through = splat(behind, behind.albedo * clear[:, None], seen.shape)
+    shown = behind.albedo.mean(axis=1, keepdims=True) * clear[:, None]
     shown = np.where((behind.ng * behind.wo).sum(axis=1, keepdims=True) < GRAZING, -shown, shown)  # of what is lit from its other side
     normal = seen.albedo.mean(axis=2, keepdims=True) * seen.mean_normal + splat(behind, shown * behind.ns, seen.shape)
     length = np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), np.float32(1e-9))
-    return seen.albedo + through, np.where(through.any(axis=2, keepdims=True), normal / length, seen.mean_normal)
+    normal = np.where(through.any(axis=2, keepdims=True), normal / length, seen.mean_normal)
+    return seen.albedo + _without_chance(seen.points, (seen.points.behind_glass > 0)[:, None] * seen.points.albedo, seen.shape), normal
+
+
+def _without_chance(points: ShadingPoints, albedo: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """The sum of the albedo (N, 3) of each pixel's points, (H, W, 3): of what frosted glass shows the mean around, black or not."""
+    scattered = points.behind_glass == SCATTERED
+    if not scattered.any():
+        return splat(points, albedo, shape)
+    found, noisy = (splat(points, albedo * part[:, None], shape) for part in (~scattered, scattered))
+    frosted = np.zeros(shape, bool)
+    frosted.reshape(-1)[points.pixel[scattered | (points.shown == SCATTERED)]] = True
+    part = _around(frosted)
+    around = partial(uniform_filter, size=(AROUND, AROUND, 1), mode="constant")
+    pixels = frosted[part][..., None].astype(np.float32)
+    found[part] += pixels * around(noisy[part]) / np.maximum(around(pixels), np.float32(1e-3))
+    return found

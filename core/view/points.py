@@ -11,6 +11,7 @@ from ..lamps.departures import VARIED
 from ..surfaces.layout import glossy_rise
 from ..threads import run_chunks
 
+BEHIND, SCATTERED = 1, 2  # of `ShadingPoints.behind_glass` and, the latter, `shown`
 SPREAD = 3  # further places of a point on its surface
 GRAZING = np.float32(-1e-6)  # rounding of the cosine with which a viewer sees the side that is lit
 _0 = np.float32(0.0)
@@ -29,7 +30,8 @@ class ShadingPoints(NamedTuple):
     wo: (N, 3) float32, unit, towards the viewer.
     f0, f90: (N, 3), roughness: (N,) float32, Schlick's glossy lobe (f0 and f90 times the share of the pixel).
     gloss: (N, 4) float32, `layout.GLOSS`.
-    behind_glass: (N,) uint8, 1 where the view passes glass: the pixel shows all light of the point as transmitted light.
+    behind_glass: (N,) uint8, `BEHIND` where the view passes glass: the pixel shows all light of the point as transmitted light; `SCATTERED` where it does so by
+        a ray drawn from a lobe, as through frosted glass: the next sample may show something else.
     spread: (N, SPREAD, 3) float32, where else the pixel shows the surface, as offsets from the position (m); 0 for nowhere.
     facet: (N, SPREAD) int32, their triangles.
     varied: (N, SPREAD + 1, VARIED) float32, by how much the shading normal differs from `ns` and the geometric one from `ng` at the position and at each
@@ -39,7 +41,8 @@ class ShadingPoints(NamedTuple):
     tilt: (N,) float32, `layout.TILT` where bumps shadow the light, whose mean is in `albedo`; else 0.
     rough: (N,) float32, `layout.DIFFUSE_ROUGHNESS`.
     sheen: (N, 4) float32, the part (0..1, rgb) of the albedo that is a lobe of `surfaces.sheen`, and its roughness; 0 for none.
-    shown: (N,) uint8, 1 where the surfaces that the lobe shows have points of their own, so that it has to find nothing but what shines.
+    shown: (N,) uint8, not 0 where the surfaces that the lobe shows have points of their own, so that it has to find nothing but what shines; `SCATTERED` where
+        these are what single rays through frosted glass have met.
     entered: (N,) uint8, of the back of glass: solids of glass that the view is in by their fronts (see `surfaces.visibility`), and what the lobe shows too.
     """
 

@@ -35,7 +35,7 @@ from ..threads import Progress, run_chunks
 from .camera import camera_tables
 from .lamps import lamps_in_tile, visible_lamps
 from .mirrors import with_mirrors
-from .points import SPREAD, ShadingPoints, blank, further_member
+from .points import BEHIND, SCATTERED, SPREAD, ShadingPoints, blank, further_member
 from .tile import (
     ALBEDO,
     BEYOND,
@@ -349,7 +349,9 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
                 points.gloss[i, c] = group[k, G_GLOSS + c] / group[k, MEMBERS]
         elif turn == COAT_POINTS:
             points.roughness[i], points.gloss[i, 0] = group[k, G_COAT_ROUGHNESS] / light, COAT_TOP
-        points.behind_glass[i] = tile.glass[lane, best] > 0
+        points.behind_glass[i] = 0
+        if tile.glass[lane, best] > 0:
+            points.behind_glass[i] = BEHIND if tile.shining[lane, best] else SCATTERED
         points.tilt[i] = sample[best, TILTED] if turn == REFLECTING else np.float32(0.0)
         points.rough[i] = sample[best, ROUGH] if turn == REFLECTING else np.float32(0.0)
         if turn == REFLECTING and sample[best, SHEENED + 3] != 0:
@@ -360,7 +362,7 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
         if turn == FROSTED_POINTS:
             light = group[k, G_THROUGH] + group[k, G_THROUGH + 1] + group[k, G_THROUGH + 2]
             points.roughness[i] = np.float32(math.sqrt(group[k, G_FROST] / light))
-            points.shown[i] = tile.through[lane, best] == SURFACES
+            points.shown[i] = SCATTERED if tile.through[lane, best] == SURFACES else 0
             points.entered[i] = np.uint8(min(sample[best, BEYOND], np.float32(255)))
     return n_points
 

@@ -60,6 +60,7 @@ from ..surfaces.layout import (
     ROUGHNESS,
     SHEEN,
     SHEEN_ROUGHNESS,
+    STRAY,
     TILT,
     TRANSPARENCY,
     bare,
@@ -449,6 +450,8 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
             way, r, g, b, w = SHOWN, _0, _0, _0, _1
             ox, oy, oz = origin[lane, 0], origin[lane, 1], origin[lane, 2]
             flags = materials.flags[material[triangle]]
+            if flags & REFRACTIVE and looks_covered(geometry.covered, triangle, u, v):  # glass that nothing comes through, nor back from
+                flags &= ~(TRANSPARENT | REFRACTIVE | FROSTED)
             if tile.looking[lane] and not flags & FROSTED:
                 disable_ray(packet, lane)
                 continue
@@ -495,12 +498,10 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                     tile.choice[lane, 0], tile.choice[lane, 1] = uniform(seed, number, s, 2 + layer), _1
                 # Through frosted glass a sample looks by the pane's own lobe, and needs no further row.
                 room = glass[pixel, s] + tile.parted[lane] < PANES
-                least = PERFECT * PERFECT
+                blurred = frost > (POLISHED * POLISHED if room else PERFECT * PERFECT)
                 if abs(surface[BEND] - _1) > STRAIGHT_ON:  # to the lobe it would be as straight as a thin wall
-                    least = MOST_BENT
-                elif room:
-                    least = POLISHED * POLISHED
-                blurred = frost > least and tile.frosted[lane] < 0
+                    blurred = frost > _0 and surface[STRAY] > MOST_BENT
+                blurred = blurred and tile.frosted[lane] < 0
                 way, r, g, b, w, x, p = _way_on(surface, tile.choice[lane, 0], tile.parted[lane] == 0, room or blurred)
                 if way == SHOWN | STRAIGHT:
                     tile.parted[lane] = 1

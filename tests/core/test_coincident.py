@@ -135,6 +135,26 @@ def test_other_faces_are_left_alone():
     assert found(SQUARE[[0, 1, 1, 0]], SQUARE[[0, 1, 1, 0]]) == []  # without area
 
 
+@pytest.mark.parametrize(
+    ("flags", "expected"),
+    [
+        ((0, sc.REFRACTIVE | sc.TRANSPARENT), [0, 1]),  # a tumbler on a table
+        ((sc.REFRACTIVE | sc.TRANSPARENT,) * 2, []),  # water in it: glass on glass lets light through
+        ((0, sc.REFRACTIVE | sc.TRANSPARENT | sc.TELLING), []),  # no glass to shadow rays
+        ((0, sc.REFRACTIVE | sc.TRANSPARENT | sc.ANGLED), []),
+    ],
+)
+def test_glass_counts_on_what_is_opaque(flags, expected):
+    made = arrays.scene(arrays.geometry(*arrays.quads(SQUARE, SQUARE), np.repeat([0, 1], 2)), arrays.materials((0.5, 0), (0.0, 0)))
+    made.materials.tables.flags[:2] |= np.array(flags, np.int32)
+    at = coincident(made)
+    assert np.unique(at.whole // 2).tolist() == expected
+    # The table is larger than the tumbler: covered in part, by opaque things alone unless it is opaque itself.
+    made.geometry.vertices[4:] *= 0.5
+    at = coincident(made)
+    assert np.unique(at.whole // 2).tolist() == expected[1:] and np.unique(at.part // 2).tolist() == expected[:1]
+
+
 def test_last_places_far_from_the_origin_do_not_count():
     leaning = moved(0, 0, 1.6718748)
     leaning[2:, 2] = 1.6718746

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from lumigate.core import scene as sc
+from lumigate.core.picture import denoising_guides
 from lumigate.core.surfaces import frosted, ggx, rough_glass
-from lumigate.core.surfaces.layout import FROST, REFRACTION, TRANSPARENCY
+from lumigate.core.surfaces.layout import BEND, FROST, REFRACTION, STRAY, TRANSPARENCY
 from lumigate.core.surfaces.lobes import LOBE, sample_lobe, set_lobe
 from lumigate.headless.stress.arrays import camera, geometry, materials, quads, scene
 
@@ -142,11 +143,12 @@ def test_rough_panes_let_through_what_paths_to_and_fro_within_them_do(roughness,
 
 def before_a_pane(frost, panes=1, share=0.8):
     """A camera that looks at a diffuse wall 5 m away through panes of glass at 2 m and farther, whose blur is `frost`."""
-    stuff = materials((0.5, 0.0), (0.0, 0.0))
+    stuff = materials((0.5, 0.0), (0.0, 0.0), (0.0, 0.0))
     stuff.tables.flags[1] |= sc.TRANSPARENT | sc.REFRACTIVE | sc.FROSTED
     for at in (TRANSPARENCY, REFRACTION):
         stuff.tables.constant[1, at : at + 3] = share
     stuff.tables.constant[1, FROST] = frost
+    stuff.tables.constant[1, STRAY] = frost / frosted.lobe_alpha(F(1), F(IOR), F(1))
     g = geometry(*quads(wall(-5), *(wall(-2 - 0.5 * k) for k in range(panes))), np.repeat([0] + panes * [1], 2))
     g.object[:] = np.repeat(np.arange(1 + panes), 2)
     g.object_names, g.object_visibility = [f"object {i}" for i in range(1 + panes)], np.full(1 + panes, sc.ALL_RAYS, np.uint8)
@@ -184,3 +186,22 @@ def test_a_view_through_a_little_roughness_meets_surfaces_and_leaves_lamps_to_th
     assert shown(picture, points.albedo).mean() == pytest.approx(0.8 * 0.5, rel=0.02)
     spread = np.concatenate([points.position[~pane, :2], clear.points.position[:, :2]])
     assert np.ptp(spread[: (~pane).sum()]) > 1.005 * np.ptp(clear.points.position[:, :2])  # beyond the frame, too
+
+
+@pytest.mark.parametrize("bend", [1.0, IOR], ids=["thin", "solid"])
+def test_chance_behind_frosted_glass_leaves_no_noise_in_the_denoisers_guide(bend):
+    # One of the two triangles of the wall is black: what a sample meets near their border is chance, and the guide has to be even there.
+    made = before_a_pane(0.009)
+    made.materials.tables.constant[1, BEND] = bend
+    made.geometry.material[1] = 2
+    view = seen(made, 4)
+    noisy = shown(view, view.points.albedo).reshape(view.shape)
+    albedo, normal = denoising_guides(view)
+    inner = np.s_[4:-4, 4:-4]
+
+    def uneven(image):
+        return np.abs(np.diff(image[inner], n=2, axis=0)).mean()
+
+    assert albedo[inner].mean() == pytest.approx(float(noisy[inner].mean()), rel=0.07)
+    assert uneven(albedo.mean(axis=-1)) < 0.4 * uneven(noisy)
+    np.testing.assert_allclose(normal, view.mean_normal, atol=1e-6)

@@ -11,6 +11,7 @@ from lumigate.core.settings import RenderSettings
 from lumigate.headless.reference import ReferenceSettings, render_layers
 
 from .test_direct_light import lamp, look, material, quad
+from .test_glass import slab
 
 SIZE = (32, 16)
 LEFT, RIGHT = (slice(4, 12), slice(3, 13)), (slice(4, 12), slice(19, 29))
@@ -67,3 +68,30 @@ def test_faces_are_black_where_others_cover_them_in_part(axis, way):
         for edge, share in ((11, 0.44), (21, 0.96)):
             assert layers["Direct"][rows, edge].mean() == pytest.approx(share * layers["Direct"][rows, 2:10].mean(), rel=0.05)
         assert np.allclose(layers["Albedo"][rows], 0.5, atol=1e-3)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.15], ids=["clear", "frosted"])
+def test_glass_shows_nothing_of_the_floor_that_it_stands_on(roughness):
+    # The lower part of each block shows its bottom: the left one's lies in the floor, the right one's just above.
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    white = material("White", Base_Color=(0.6, 0.6, 0.6, 1), Specular_IOR_Level=0.0)
+    quad(scene, [(-4, -4, 0), (4, -4, 0), (4, 3, 0), (-4, 3, 0)], white)
+    quad(scene, [(-4, 3, 0), (4, 3, 0), (4, 3, 5), (-4, 3, 5)], white)
+    glass = material("Glass", Transmission_Weight=1.0, Roughness=roughness, IOR=1.45)
+    slab(scene, -1.5, -0.3, -0.6, 0.6, 0.0, 1.0, glass)
+    slab(scene, 0.3, 1.5, -0.6, 0.6, 0.002, 1.002, glass)
+    lamp(scene, "AREA", (0, -1, 4.5), (0, 0, 0), energy=200.0, size=2.0, seen=False)
+    look(scene, (0, -6, 2.2), (1.22, 0, 0), lens=50)
+    size = (64, 32)
+    theirs, _ = render_layers(scene, ReferenceSettings(spp=256, size=size, bounces=4))
+    ours = render(extract_scene(scene, size=size), RenderSettings(pixel_samples=16, denoise=False))
+    assert any("'Slab'" in line and "lie exactly on others" in line for line in ours.stats["warnings"])
+    rows, standing, above = slice(15, 18), slice(10, 26), slice(38, 54)
+    for layers in (ours.layers, theirs):
+        light = layers["GlossyIndirect"]
+        assert light[rows, standing].mean() < 0.2 * light[rows, above].mean()
+    for at in (standing, above):
+        assert ours.layers["GlossyIndirect"][rows, at].mean() == pytest.approx(
+            float(theirs["GlossyIndirect"][rows, at].mean()), rel=0.15, abs=0.01
+        )
