@@ -178,6 +178,8 @@ class World:
     visibility: bits of ray kinds.  group: name of its light group ('' for none).
     seen: (H, W, 3) float32, what the camera sees instead, past surfaces that let light through as well; None for the same.
     sought: part of Cycles' shadow rays to the sky that follow its brightness; the others seek a sun in it, which is a lamp here.
+    portals: (P, 3, 3) float32, rectangles that the world shines in by, as windows: centre, and halves of the edges x and y (m), seen from the side
+        that y cross x faces.  They guide rays, and hide nothing.
     """
 
     radiance: np.ndarray
@@ -185,6 +187,7 @@ class World:
     group: str = ""
     seen: np.ndarray | None = None
     sought: float = 1.0
+    portals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3), np.float32))
 
 
 @dataclass

@@ -137,6 +137,8 @@ def _assembled(
     with_programs(lamps.lamps, compiled.lamps)
     geometry, origin, dropped = assemble(found, compiled)
     world = extract_world(scene, layer, graph, cycles)
+    if lamps.portals:
+        world.world.portals = (np.array(lamps.portals) - np.outer((1, 0, 0), origin)).astype(np.float32)
     if view is not None:
         view.matrix[:3, 3] -= origin
     return Scene(

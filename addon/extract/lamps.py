@@ -55,9 +55,13 @@ class Lamp:
 
 @dataclass
 class CollectedLamps:
-    """What `collect_lamps` found, with lines for the user."""
+    """What `collect_lamps` found, with lines for the user.
+
+    portals: (3, 3) float64 each, as of `World`, in the world's coordinates.
+    """
 
     lamps: list[Lamp] = field(default_factory=list)
+    portals: list[np.ndarray] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
 
@@ -78,7 +82,10 @@ def collect_lamps(depsgraph: bpy.types.Depsgraph, links: Links, space: bpy.types
         seen.add(ob.name)
         light = ob.data
         if light.type == "AREA" and light.cycles.is_portal:
-            found.skip(ob.name, "is a portal: it guides Cycles' sampling and shines no light of its own")
+            found.skip(ob.name, "is a portal: it guides rays to the world, and shines no light of its own")
+            portal = _portal(light, np.array(instance.matrix_world, np.float64))
+            if portal is not None:
+                found.portals.append(portal)
             continue
         visibility = instance_visibility(instance, view_layer)
         matrix = np.array(instance.matrix_world, np.float64)
@@ -232,9 +239,25 @@ def _shape_sun(lamp: Lamp, light: bpy.types.SunLight, scale: np.ndarray, found: 
         lamp.emission = lamp.emission * math.pi * math.sin(0.5 * lamp.angle) ** 2
 
 
-def _shape_area(lamp: Lamp, light: bpy.types.AreaLight, scale: np.ndarray, found: CollectedLamps) -> None:
+def _area_size(light: bpy.types.AreaLight, scale: np.ndarray) -> tuple[float, float]:
+    """Both edges, or diameters, of an area lamp (m)."""
     size_y = light.size_y if light.shape in ("RECTANGLE", "ELLIPSE") else light.size
-    lamp.size = (light.size * scale[0], size_y * scale[1])
+    return light.size * scale[0], size_y * scale[1]
+
+
+def _portal(light: bpy.types.AreaLight, matrix: np.ndarray) -> np.ndarray | None:
+    """A portal as `World` has them, None where it has no area: a disk's is the square around it."""
+    columns = matrix[:3, :3]
+    scale = np.linalg.norm(columns, axis=0)
+    if not (np.isfinite(matrix).all() and scale.all()):
+        return None
+    size = _area_size(light, scale)
+    axes = upright_axes(columns, True)
+    return np.stack([matrix[:3, 3], 0.5 * size[0] * axes[0], 0.5 * size[1] * axes[1]]) if min(size) > 0 else None
+
+
+def _shape_area(lamp: Lamp, light: bpy.types.AreaLight, scale: np.ndarray, found: CollectedLamps) -> None:
+    lamp.size = _area_size(light, scale)
     lamp.shape = ELLIPSE if light.shape in ("DISK", "ELLIPSE") else RECTANGLE
     lamp.angle = max(light.spread, _MIN_SPREAD)
     area = lamp.size[0] * lamp.size[1] * (0.25 * math.pi if lamp.shape == ELLIPSE else 1)

@@ -276,7 +276,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
     linked = scene.lamps.receivers[source], scene.lamps.blockers[source]
     parts = [(kind, flags, radiance, flux, bounds, groups.lamps[source], *linked)]
     if scene.world.visibility & (ray_kind | reflected) and (scene.world.radiance > 0).any():
-        world, mean, world_flux = world_table(scene.world.radiance, box, scene.world.sought)
+        world, mean, world_flux = world_table(scene.world.radiance, box, scene.world.sought, scene.world.portals)
         world_flags = CASTS_SHADOW + SEEN_BY_GLOSSY * bool(scene.world.visibility & GLOSSY)
         world_flags += SEEN_THROUGH_GLASS * bool(scene.world.visibility & TRANSMISSION)
         world_flags += GLOSSY_ONLY * (not scene.world.visibility & ray_kind)

@@ -46,7 +46,7 @@ from .seen import learn
 from .sharp import sharp_emitters
 from .tables import AXIS_Z, CASTS_SHADOW, GLOSSY_ONLY, ONE_MINUS_COS, SEEN_BY_GLOSSY, SHARP, TRIANGLE, WORLD
 from .tree import CUT, choose, cut_estimate, cut_for, descend, importance, importance_around
-from .world import world_density, world_radiance
+from .world import faces_portals, world_density, world_radiance
 from .world_guide import NEAR, aim, draw, expect, forget, keep_in_mind, look_around, new_world_guide, own_density, remember
 
 CHUNK = 4096  # points a chunk
@@ -508,7 +508,7 @@ def _prepare(scene, nodes, points, i, k, samples, reflections, seed, first, spar
         if _is_world(emitters, g):
             n = block.count[k, g]
             by_chance = abs(np.float32(n) * block.weight[k, g] - _1) > np.float32(1e-3)  # where samples are scarce
-            if by_chance or n < 1:
+            if by_chance or n < 1 or faces_portals(emitters.world, px, py, pz, sx, sy, sz):
                 block.first[k] = n
             elif points.gathered[i] > 0:
                 block.first[k] = max(1, n // _UNGUIDED)
@@ -786,14 +786,16 @@ def _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, s
                 if guided:
                     dx, dy, dz, density = draw(guide, u1, u2)
                     r, gr, b = world_radiance(emitters.world, dx, dy, dz)
-                    own = own_density(world_density(emitters.world, sx, sy, sz, dx, dy, dz), density, before, later, number, guided)
+                    own = own_density(
+                        world_density(emitters.world, px, py, pz, sx, sy, sz, dx, dy, dz), density, before, later, number, guided
+                    )
                     even = _gather_density(gathered, sx * dx + sy * dy + sz * dz)
                     w, shine = _1 / (own + even), _1 / own
                 else:
                     dx, dy, dz, _, r, gr, b, _, _ = sample_emitter(emitters, e, px, py, pz, sx, sy, sz, u1, u2, rows, surface)
                     w = shine = block.weight[k, g]
                     if gathered > 0:
-                        own = number * world_density(emitters.world, sx, sy, sz, dx, dy, dz)
+                        own = number * world_density(emitters.world, px, py, pz, sx, sy, sz, dx, dy, dz)
                         even = _gather_density(gathered, sx * dx + sy * dy + sz * dz)
                         w *= own / (own + even)
                 n = _put(
@@ -924,7 +926,9 @@ def _learn(scene, points, start, size, block, rays, n, guide):
         r, gr, b = world_radiance(emitters.world, dx, dy, dz)
         light = r * rays.through[j, 0] + gr * rays.through[j, 1] + b * rays.through[j, 2]
         cosine = points.ns[i, 0] * dx + points.ns[i, 1] * dy + points.ns[i, 2] * dz
-        density = world_density(emitters.world, points.ns[i, 0], points.ns[i, 1], points.ns[i, 2], dx, dy, dz)
+        # From where the ray leaves: from elsewhere in the pixel a portal lies elsewhere, and its edge with it.
+        px, py, pz = rays.ray[j, 0], rays.ray[j, 1], rays.ray[j, 2]
+        density = world_density(emitters.world, px, py, pz, points.ns[i, 0], points.ns[i, 1], points.ns[i, 2], dx, dy, dz)
         remember(guide, k, turn, dx, dy, dz, light, density, cosine, block.first[k], points.gathered[i])
     look_around(guide, size)
 

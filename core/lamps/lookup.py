@@ -176,7 +176,7 @@ def emitter_density(emitters, e, px, py, pz, nx, ny, nz, dx, dy, dz):
         t = (ax * shapes[i, NORMAL] + ay * shapes[i, NORMAL + 1] + az * shapes[i, NORMAL + 2]) / facing
         return t * t / max(abs(facing) * shapes[i, AREA_M2], np.float32(1e-30))
     if kind == WORLD:
-        return world_density(emitters.world, nx, ny, nz, dx, dy, dz)
+        return world_density(emitters.world, px, py, pz, nx, ny, nz, dx, dy, dz)
     if kind == SUN:
         return _1_2PI / lamps[e, ONE_MINUS_COS]
     if kind == AREA:

@@ -41,7 +41,7 @@ def sample_emitter(emitters, e, px, py, pz, nx, ny, nz, u1, u2, rows, surface):
             evaluate(emitters.materials, material, emitters.attributes, triangle, u, v, reflected_view(side), rows, surface)
             r, g, b = surface[EMISSION], surface[EMISSION + 1], surface[EMISSION + 2]
     elif kind == WORLD:
-        dx, dy, dz, r, g, b = sample_world(emitters.world, nx, ny, nz, u1, u2)
+        dx, dy, dz, r, g, b = sample_world(emitters.world, px, py, pz, nx, ny, nz, u1, u2)
         w = np.float32(1.0)
     elif kind == SUN:
         dx, dy, dz, w = sample_sun(emitters.lamps, e, u1, u2)

@@ -1,10 +1,14 @@
-"""Uniform sampling of what a rectangle and a triangle subtend, in float64: near lights leave no room for less."""
+"""Uniform sampling of what a rectangle and a triangle subtend, in float64, whatever the arguments: near lights, and those seen at a slant, leave no room for less."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..jit import leaf
+
+_F = np.float64
 
 
 @leaf(fast=False)
@@ -17,6 +21,7 @@ def sample_rectangle(x0, x1, y0, y1, height, u1, u2):
     Returns:
         (x, y, solid angle in sr); area sampling and weight where the angle is too small to be resolved.
     """
+    x0, x1, y0, y1, height, u1, u2 = _F(x0), _F(x1), _F(y0), _F(y1), _F(height), _F(u1), _F(u2)
     n0 = -y0 / math.sqrt(y0 * y0 + height * height)
     n1 = x1 / math.sqrt(x1 * x1 + height * height)
     n2 = y1 / math.sqrt(y1 * y1 + height * height)
@@ -49,6 +54,7 @@ def sample_rectangle(x0, x1, y0, y1, height, u1, u2):
 @leaf(fast=False)
 def rectangle_angle(x0, x1, y0, y1, height):
     """Solid angle (sr) of the rectangle [x0, x1] x [y0, y1] in the plane z = height from the origin; height > 0."""
+    x0, x1, y0, y1, height = _F(x0), _F(x1), _F(y0), _F(y1), _F(height)
     return _corner(x1, y1, height) - _corner(x0, y1, height) - _corner(x1, y0, height) + _corner(x0, y0, height)
 
 
@@ -60,6 +66,9 @@ def _corner(x, y, height):
 @leaf(fast=False)
 def triangle_angle(ax, ay, az, bx, by, bz, cx, cy, cz):
     """Solid angle (sr) of the triangle abc from the origin (Van Oosterom & Strackee 1983)."""
+    ax, ay, az = _F(ax), _F(ay), _F(az)
+    bx, by, bz = _F(bx), _F(by), _F(bz)
+    cx, cy, cz = _F(cx), _F(cy), _F(cz)
     la, lb, lc = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz), math.sqrt(cx * cx + cy * cy + cz * cz)
     volume = abs(ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx))
     ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
@@ -83,6 +92,10 @@ def sample_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, u1, u2):
     Returns:
         (x, y, z unit, solid angle in sr); the angle is 0 where it is too small or degenerate.
     """
+    ax, ay, az = _F(ax), _F(ay), _F(az)
+    bx, by, bz = _F(bx), _F(by), _F(bz)
+    cx, cy, cz = _F(cx), _F(cy), _F(cz)
+    u1, u2 = _F(u1), _F(u2)
     la, lb, lc = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz), math.sqrt(cx * cx + cy * cy + cz * cz)
     if la == 0.0 or lb == 0.0 or lc == 0.0:
         return 0.0, 0.0, 1.0, 0.0

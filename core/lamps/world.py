@@ -2,7 +2,8 @@
 
 Each pixel of the equirectangular image is a patch of constant radiance, for lookups, direct light and particles
 alike, so that they agree exactly.  Direct light mixes a cosine density with one of max(L - mean, 0), which leaves
-the even part of a sky to the cosine (MIS compensation: Karlik et al. 2019).
+the even part of a sky to the cosine (MIS compensation: Karlik et al. 2019).  Where portals face a surface, most of its
+rays go through them, evenly by solid angle.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from ..jit import inlined, leaf
 from ..sampling.discrete import cumulative, sample_cdf
 from ..sampling.maps import cosine_hemisphere, to_world
 from ..scene import World
-from .tables import WorldTable
+from .shapes import area_view
+from .solid_angle import rectangle_angle, sample_rectangle
+from .tables import AXIS_X, AXIS_Y, AXIS_Z, LAMP, POSITION, SIZE, WorldTable
 
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -25,6 +28,7 @@ _PI = np.float32(math.pi)
 _1_PI = np.float32(1 / math.pi)
 _2PI = np.float32(2 * math.pi)
 _1_2PI = np.float32(0.5 / math.pi)
+_BY_PORTALS = np.float32(0.75)  # of the rays of what portals face: the rest find what shines past them, and the brightest parts of the sky
 
 
 def pixel_directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -51,10 +55,24 @@ def _entering(box: np.ndarray, height: int, width: int) -> np.ndarray:
     return fine.reshape(height, parts, width, parts).sum((1, 3))
 
 
-def world_table(radiance: np.ndarray, box: np.ndarray, sought: float = 1.0) -> tuple[WorldTable, np.ndarray, np.ndarray]:
+def portal_table(portals: np.ndarray) -> np.ndarray:
+    """(P, LAMP) float32 of portals (P, 3, 3), as `World` has them."""
+    table = np.zeros((len(portals), LAMP), np.float32)
+    halves = np.linalg.norm(portals[:, 1:], axis=2)
+    x, y = (portals[:, k] / halves[:, k - 1, None] for k in (1, 2))
+    table[:, POSITION : POSITION + 3] = portals[:, 0]
+    for at, axis in ((AXIS_X, x), (AXIS_Y, y), (AXIS_Z, np.cross(x, y))):
+        table[:, at : at + 3] = axis
+    table[:, SIZE : SIZE + 2] = 2 * halves
+    return table
+
+
+def world_table(
+    radiance: np.ndarray, box: np.ndarray, sought: float = 1.0, portals: np.ndarray | None = None
+) -> tuple[WorldTable, np.ndarray, np.ndarray]:
     """Table of a world (H, W, 3), its mean radiance (3,) and the flux (3,) that it sends into the box (W).
 
-    sought: as of `World`.
+    sought, portals: as of `World`, None for none.
     """
     radiance = np.ascontiguousarray(radiance, np.float32)
     height, width = radiance.shape[:2]
@@ -80,6 +98,7 @@ def world_table(radiance: np.ndarray, box: np.ndarray, sought: float = 1.0) -> t
         varies=not constant,
         estimate=np.array([np.pi * mean.mean(), *harmonics], np.float32),
         sought=np.float32(sought),
+        portals=portal_table(np.zeros((0, 3, 3)) if portals is None else portals),
     )
     flux = (radiance_for_density * entering[..., None]).sum((0, 1))
     return table, mean, flux
@@ -137,19 +156,111 @@ def _pixel_density(world, y, x, height, width):
 
 
 @leaf
-def world_density(world, nx, ny, nz, dx, dy, dz):
-    """Density (per sr) with which `sample_world` gives the direction d on a surface with normal n."""
-    cosine = max(_0, dx * nx + dy * ny + dz * nz)
-    if not world.varies:
-        return cosine * _1_PI
-    height, width = world.radiance.shape[0], world.radiance.shape[1]
-    y, x = _pixel(world, dx, dy, dz, height, width)
-    return _HALF * (cosine * _1_PI + _pixel_density(world, y, x, height, width))
+def _portal_angle(portals, i, px, py, pz, nx, ny, nz):
+    """Solid angle (sr) of portal i from p, 0 where it faces away or lies below the horizon of the normal n."""
+    x, y, height = area_view(portals, i, px, py, pz)
+    half_x, half_y = _HALF * portals[i, SIZE], _HALF * portals[i, SIZE + 1]
+    if not height > np.float32(1e-5) * (half_x + half_y):
+        return _0
+    cx, cy, cz = portals[i, POSITION] - px, portals[i, POSITION + 1] - py, portals[i, POSITION + 2] - pz
+    across_x = abs(nx * portals[i, AXIS_X] + ny * portals[i, AXIS_X + 1] + nz * portals[i, AXIS_X + 2])
+    across_y = abs(nx * portals[i, AXIS_Y] + ny * portals[i, AXIS_Y + 1] + nz * portals[i, AXIS_Y + 2])
+    if not nx * cx + ny * cy + nz * cz + half_x * across_x + half_y * across_y > _0:
+        return _0
+    return max(_0, np.float32(rectangle_angle(-half_x - x, half_x - x, -half_y - y, half_y - y, height)))
+
+
+@inlined
+def _faces(portals, i, px, py, pz, dx, dy, dz):
+    """Whether a ray from p along d goes through portal i."""
+    x, y, height = area_view(portals, i, px, py, pz)
+    along = dx * portals[i, AXIS_Z] + dy * portals[i, AXIS_Z + 1] + dz * portals[i, AXIS_Z + 2]
+    if not (height > _0 and along > _0):
+        return False
+    t = height / along
+    x += t * (dx * portals[i, AXIS_X] + dy * portals[i, AXIS_X + 1] + dz * portals[i, AXIS_X + 2])
+    y += t * (dx * portals[i, AXIS_Y] + dy * portals[i, AXIS_Y + 1] + dz * portals[i, AXIS_Y + 2])
+    return abs(x) <= _HALF * portals[i, SIZE] and abs(y) <= _HALF * portals[i, SIZE + 1]
 
 
 @leaf
-def sample_world(world, nx, ny, nz, u1, u2):
-    """Direction for direct light on a surface with normal n -> (d, radiance / density): six float32."""
+def _portals_density(portals, px, py, pz, nx, ny, nz, dx, dy, dz):
+    """Density (per sr) of the rays through portals along d from p, with the normal n, and whether any portal faces that; the rays are even by solid angle."""
+    whole, through = _0, 0
+    for i in range(len(portals)):
+        angle = _portal_angle(portals, i, px, py, pz, nx, ny, nz)
+        whole += angle
+        through += angle > _0 and _faces(portals, i, px, py, pz, dx, dy, dz)
+    return (np.float32(through) / whole, True) if whole > _0 else (_0, False)
+
+
+@leaf
+def _through_portal(portals, px, py, pz, nx, ny, nz, u1, u2):
+    """A direction from p through one of the portals, some of which face it."""
+    whole, chosen, u = _0, 0, u1
+    for i in range(len(portals)):  # reservoir sampling with one recycled random number
+        angle = _portal_angle(portals, i, px, py, pz, nx, ny, nz)
+        if angle > _0:
+            whole += angle
+            p = angle / whole
+            if u < p:
+                chosen, u = i, u / p
+            else:
+                u = (u - p) / (_1 - p)
+            u = min(u, np.float32(0.99999994))
+    x, y, height = area_view(portals, chosen, px, py, pz)
+    half_x, half_y = _HALF * portals[chosen, SIZE], _HALF * portals[chosen, SIZE + 1]
+    qx, qy, _ = sample_rectangle(-half_x - x, half_x - x, -half_y - y, half_y - y, height, u, u2)
+    sx, sy = np.float32(qx), np.float32(qy)
+    short = _1 / np.float32(math.sqrt(sx * sx + sy * sy + height * height))
+    sx, sy, sz = short * sx, short * sy, short * height
+    dx = sx * portals[chosen, AXIS_X] + sy * portals[chosen, AXIS_Y] + sz * portals[chosen, AXIS_Z]
+    dy = sx * portals[chosen, AXIS_X + 1] + sy * portals[chosen, AXIS_Y + 1] + sz * portals[chosen, AXIS_Z + 1]
+    dz = sx * portals[chosen, AXIS_X + 2] + sy * portals[chosen, AXIS_Y + 2] + sz * portals[chosen, AXIS_Z + 2]
+    return dx, dy, dz
+
+
+@leaf
+def world_density(world, px, py, pz, nx, ny, nz, dx, dy, dz):
+    """Density (per sr) with which `sample_world` gives the direction d at p on a surface with normal n."""
+    density = max(_0, dx * nx + dy * ny + dz * nz) * _1_PI
+    if world.varies:
+        height, width = world.radiance.shape[0], world.radiance.shape[1]
+        y, x = _pixel(world, dx, dy, dz, height, width)
+        density = _HALF * (density + _pixel_density(world, y, x, height, width))
+    if len(world.portals) > 0:
+        through, faced = _portals_density(world.portals, px, py, pz, nx, ny, nz, dx, dy, dz)
+        if faced:
+            density = _BY_PORTALS * through + (_1 - _BY_PORTALS) * density
+    return density
+
+
+@inlined
+def faces_portals(world, px, py, pz, nx, ny, nz):
+    """Whether the world shines on p, of the normal n, through portals."""
+    for i in range(len(world.portals)):
+        if _portal_angle(world.portals, i, px, py, pz, nx, ny, nz) > _0:
+            return True
+    return False
+
+
+@leaf
+def sample_world(world, px, py, pz, nx, ny, nz, u1, u2):
+    """Direction for direct light at p on a surface with normal n -> (d, radiance / density): six float32."""
+    if faces_portals(world, px, py, pz, nx, ny, nz):
+        if u1 < _BY_PORTALS:
+            dx, dy, dz = _through_portal(world.portals, px, py, pz, nx, ny, nz, u1 / _BY_PORTALS, u2)
+        else:
+            dx, dy, dz, _, _, _ = _sample_sky(world, nx, ny, nz, (u1 - _BY_PORTALS) / (_1 - _BY_PORTALS), u2)
+        w = _1 / max(world_density(world, px, py, pz, nx, ny, nz, dx, dy, dz), np.float32(1e-12))
+        r, g, b = world_radiance(world, dx, dy, dz)
+        return dx, dy, dz, w * r, w * g, w * b
+    return _sample_sky(world, nx, ny, nz, u1, u2)
+
+
+@leaf
+def _sample_sky(world, nx, ny, nz, u1, u2):
+    """`sample_world` without portals."""
     if not world.varies:
         lx, ly, lz = cosine_hemisphere(u1, u2)
         dx, dy, dz = to_world(lx, ly, lz, nx, ny, nz)

@@ -144,7 +144,7 @@ def scatter_light(
                 lr, lg, lb, density = lobe_value(lobe, dx, dy, dz)
                 each = kept / max(cosine, np.float32(1e-4))
                 if e == shining and world:  # the share bounds it, too
-                    each *= share_of(max(world_density(emitters.world, sx, sy, sz, dx, dy, dz), _LEAST), density)
+                    each *= share_of(max(world_density(emitters.world, x, y, z, sx, sy, sz, dx, dy, dz), _LEAST), density)
                 else:
                     each = min(each, kept * PEAK * lobe[ALBEDO] / (_PI * max(lr, lg, lb, np.float32(1e-20))))
                 lr, lg, lb = each * lr, each * lg, each * lb
@@ -202,7 +202,7 @@ def scatter_light(
             if roughness < BLUR:
                 set_lobe(lobe, sx, sy, sz, gx, gy, gz, wx, wy, wz, BLUR, f0r, f0g, f0b, f90r, f90g, f90b, top, er, eg, eb)
             _, _, _, density = lobe_value(lobe, dx, dy, dz)
-            beyond = share_of(max(density, _LEAST), world_density(emitters.world, sx, sy, sz, dx, dy, dz))
+            beyond = share_of(max(density, _LEAST), world_density(emitters.world, x, y, z, sx, sy, sz, dx, dy, dz))
             if relied > _0:
                 beyond *= _1 - relied * carried_by_lights(roughness * roughness, sx, sy, sz, dx, dy, dz, gx, gy, gz, wx, wy, wz, reach)
     elif through > _0 and pick * whole < glossy + through:

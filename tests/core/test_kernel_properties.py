@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lumigate.core import scene as sc
 from lumigate.core.jit import kernel
 from lumigate.core.lamps import build_emitters, direct_irradiance
-from lumigate.core.lamps.solid_angle import rectangle_angle, triangle_angle
+from lumigate.core.lamps.solid_angle import rectangle_angle, sample_rectangle, triangle_angle
 from lumigate.core.methods.instant_radiosity import InstantRadiosity, geometry_terms
 from lumigate.core.metrics import bias, net_relmse
 from lumigate.core.particles import Vpls, trace_by_power, trace_particles
@@ -263,6 +263,21 @@ def test_solid_angles_add_up(seed, height):
     halves = triangle_angle(*corners[0], *corners[1], *corners[2]) + triangle_angle(*corners[0], *corners[2], *corners[3])
     assert whole == pytest.approx(halves, rel=1e-6, abs=1e-9)
     assert 0 <= whole <= 2 * np.pi
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "height", "size"), [(5, 3, 0.02, 0.5), (10, 10, 10, 0.2), (100, 0, 5, 1.0), (0, 0, 30, 0.1), (0.1, 0.2, 1e-3, 1.0)]
+)
+def test_rectangles_seen_at_a_slant_or_from_afar_are_as_exact_by_short_numbers(x, y, height, size):
+    # A hundredth of the angle was lost where it is the difference of far larger ones.
+    edges = np.float32([x - size / 2, x + size / 2, y - size / 2, y + size / 2, height])
+    exact = rectangle_angle(*edges.astype(float))
+    assert rectangle_angle(*edges) == pytest.approx(exact, rel=1e-6)
+    for u1, u2 in ((0.1, 0.2), (0.5, 0.7), (0.93, 0.4)):
+        u1, u2 = np.float32(u1), np.float32(u2)
+        qx, qy, angle = sample_rectangle(*edges, u1, u2)
+        assert angle == pytest.approx(exact, rel=1e-5)
+        assert (qx, qy) == pytest.approx(sample_rectangle(*edges.astype(float), float(u1), float(u2))[:2], abs=1e-5 * size)
 
 
 def test_metrics_are_unbiased():

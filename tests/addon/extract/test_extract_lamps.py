@@ -272,6 +272,23 @@ def test_lamps_that_shine_nothing_are_skipped_by_name(stage, spoil, reason):
     assert [(s.stage, "'Area'" in s.reason, reason in s.reason) for s in scene.skipped] == [("lamps", True, True)]
 
 
+@pytest.mark.parametrize(("shape", "size"), [("RECTANGLE", (2.0, 3.0)), ("SQUARE", (2.0, 1.5)), ("ELLIPSE", (2.0, 3.0))])
+def test_portals_are_the_worlds(stage, shape, size):
+    stage.cube().location = 100, 0, 0
+    place = Matrix.Translation((101, 2, 3)) @ Matrix.Rotation(0.5, 4, "X") @ Matrix.Diagonal((2, 1.5, 1, 1))
+    lamp = stage.lamp("AREA", place, energy=10, shape=shape, size=1.0, size_y=2.0)
+    lamp.data.cycles.is_portal = True
+    scene = stage.extract()
+    (portal,) = scene.world.portals + np.outer((1, 0, 0), scene.origin)
+    np.testing.assert_allclose(portal[0], (101, 2, 3), atol=1e-4)
+    np.testing.assert_allclose(2 * np.linalg.norm(portal[1:], axis=1), size, rtol=1e-5)
+    # It faces where the lamp would shine, along its -z axis.
+    facing = np.cross(portal[2], portal[1])
+    np.testing.assert_allclose(facing / np.linalg.norm(facing), -np.array(place.to_3x3().normalized().col[2]), atol=1e-5)
+    lamp.data.size = 0
+    assert not len(stage.extract().world.portals)
+
+
 @pytest.mark.parametrize("energy", [-5, 0, 5])
 def test_a_lamp_that_darkens_in_cycles_is_warned_of(stage, energy):
     stage.cube()
