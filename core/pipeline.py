@@ -42,6 +42,7 @@ from .stages import (
     sharp_light,
     side_by_side,
     single_lights,
+    with_openings,
     within_reach,
 )
 from .subpixel import PointLight
@@ -398,9 +399,10 @@ def _pass(
     wants_glossy = wants("Direct", "Combined", "GlossyIndirect", "Indirect")
     wants_indirect = wants("DiffuseIndirect", "Indirect", "Irradiance", "Combined") or (behind_glass and wants("GlossyIndirect"))
     lobes = wants_glossy and has_lobes(lit) and sees_alike(scene.geometry.object_visibility)
+    tables, openings = with_openings(run, tables, points, settings, threads)
 
     def cache(run: Run) -> ImportanceSampling | None:
-        return cache_stage(run, tables, lit, settings, threads) if wants_glossy or wants_indirect else None
+        return cache_stage(run, tables, lit, settings, threads, openings=openings) if wants_glossy or wants_indirect else None
 
     def direct(run: Run, sampler: ImportanceSampling | None = None) -> DirectLight:
         if not (wants("Direct", "Combined") or behind_glass or ((wants_indirect or wants_glossy) and refractive(tables))):

@@ -321,6 +321,8 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
         emission_cdf=cumulative(shares(flux, flags), np.float64) if len(kind) else np.zeros(1),
         box=box,
         focus=np.zeros((0, 2, 3), np.float32),
+        drawn=np.ones(1, np.float32),
+        around=0,
         aim=np.zeros(4, np.float32),
         cutouts=bool((scene.materials.tables.flags & TRANSPARENT).any()),
         told=parted or bool((scene.materials.tables.flags & TELLING).any()),

@@ -17,6 +17,7 @@ from ..sampling.maps import concentric_disk, cosine_hemisphere, to_world, unifor
 from ..scene import AREA, POINT, SPOT, SUN
 from ..surfaces.layout import EMISSION
 from ..surfaces.program import evaluate, reflected_view
+from .openings import Openings
 from .shapes import one_minus_cos, spot_attenuation, spread_attenuation
 from .tables import (
     AREA_M2,
@@ -51,6 +52,10 @@ OUTLIERS = 0.02, 0.1, 0.0  # shares of the places beyond either end of a focus a
 # In size, from one focus around all places to a wider one, as many as fit into the whole: what just misses one weighs the square of it more.
 GROWTH, MOST_WIDER = 4.0, 4
 MARGIN = 0.05  # of a focus's size, on all sides
+# Of half the surface of the box that particles enter: by larger openings enough of them come in as it is (living room .25, Sponza .06: a few percent more
+# error with openings, which take particles from what lies beside).
+SMALL = 0.03
+BESIDE_OPENINGS = 0.35  # of the particles of sun and world where openings are known: for what comes in by others, or after a bounce outside
 FAR = 0.05  # of its flux, at least, counts what an emitter sends elsewhere
 WORTHWHILE = 0.5  # of the whole box's surface: larger focuses gain nothing
 GLOSSY_SHARE = 0.25  # by which the flux of what shines on glossy surfaces alone counts where particles are dealt
@@ -153,29 +158,31 @@ def _slabs(box, x, y, z, dx, dy, dz):
 
 
 @leaf
-def _focused_entry(box, focus, dx, dy, dz, u1, u2):
+def _focused_entry(box, focus, drawn, dx, dy, dz, u1, u2):
     """Where a ray of direction d enters the box -> (x, y, z, inverse of the density of such rays per area across d).
 
-    Each focus gets as many rays as the box itself; the density is that of them all (balance heuristic, Veach and Guibas 1995).
+    The box itself and each focus get their shares of the rays, `drawn`; the density is that of them all (balance heuristic, Veach and Guibas 1995).
     """
-    u = u1 * np.float32(len(focus) + 1)
-    picked = min(np.int64(u), len(focus)) - 1
-    u = min(u - np.float32(picked + 1), np.float32(0.99999994))
+    picked, u = -1, u1
+    while picked < len(focus) - 1 and u >= drawn[picked + 1]:
+        u -= drawn[picked + 1]
+        picked += 1
+    u = min(u / max(drawn[picked + 1], np.float32(1e-30)), np.float32(0.99999994))
     if picked < 0:
         x, y, z, area = _box_entry(box, dx, dy, dz, u, u2)
-        density = _1 / max(area, np.float32(1e-30))
+        density = drawn[0] / max(area, np.float32(1e-30))
     else:
         x, y, z, area = _box_entry(focus[picked], dx, dy, dz, u, u2)
-        density = _1 / max(area, np.float32(1e-30)) + _1 / _shadow(box, dx, dy, dz)
+        density = drawn[picked + 1] / max(area, np.float32(1e-30)) + drawn[0] / _shadow(box, dx, dy, dz)
     for k in range(len(focus)):
         if k != picked:
             enter, leave = _slabs(focus[k], x, y, z, dx, dy, dz)
             if enter <= leave:
-                density += _1 / _shadow(focus[k], dx, dy, dz)
+                density += drawn[k + 1] / _shadow(focus[k], dx, dy, dz)
     if picked >= 0:
         back, _ = _slabs(box, x, y, z, dx, dy, dz)
         x, y, z = x + back * dx, y + back * dy, z + back * dz
-    return x, y, z, np.float32(len(focus) + 1) / density
+    return x, y, z, _1 / density
 
 
 @leaf
@@ -392,7 +399,7 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
             r, g, b = k * emitters.radiance[e, 0], k * emitters.radiance[e, 1], k * emitters.radiance[e, 2]
         dx, dy, dz = -dx, -dy, -dz
         if len(emitters.focus) > 0:
-            x, y, z, area = _focused_entry(emitters.box, emitters.focus, dx, dy, dz, u3, u4)
+            x, y, z, area = _focused_entry(emitters.box, emitters.focus, emitters.drawn, dx, dy, dz, u3, u4)
         else:
             x, y, z, area = _box_entry(emitters.box, dx, dy, dz, u3, u4)
         w *= area
@@ -423,10 +430,11 @@ def shares(flux: np.ndarray, flags: np.ndarray) -> np.ndarray:
     return flux.mean(axis=1) * outwards * np.where(flags & GLOSSY_ONLY, GLOSSY_SHARE, 1)
 
 
-def focused(emitters: Emitters, places: np.ndarray) -> Emitters:
+def focused(emitters: Emitters, places: np.ndarray, openings: Openings | None = None) -> Emitters:
     """The same emitters, which send most of their particles where the places (N, 3) are, with exact weights: sun and world, and all that are far off.
 
     A room with a window in a wide land, or before a lamp across the street, would else wait long for one that comes in.
+    openings: by which sun and world shine on the places, None for none that are known.
     """
     if not len(places):
         return emitters
@@ -444,19 +452,35 @@ def focused(emitters: Emitters, places: np.ndarray) -> Emitters:
     kept = [box for box in boxes if _surface(box) < WORTHWHILE * _surface(emitters.box)]
     centre, radius = boxes[0].mean(axis=0), 0.5 * float(np.linalg.norm(boxes[0][1] - boxes[0][0]))
     seen = _seen_cones(emitters, centre, radius)
-    if not kept and (seen == 1).all():
+    around, gaps = len(kept), [] if openings is None else openings.boxes
+    if not is_small(gaps, boxes[0] if around else emitters.box):
+        gaps = []
+    if not around + len(gaps) and (seen == 1).all():
         return emitters
     # Of what such an emitter sends, about this share comes near the places.
-    near = np.where(np.isin(emitters.kind, (SUN, WORLD)) & bool(kept), max(_surface(boxes[0]) / _surface(emitters.box), FAR), seen)
+    comes = _surface(boxes[0]) / _surface(emitters.box) if around else 1.0
+    drawn = np.full(1 + around, 1 / (1 + around))
+    if len(gaps):
+        comes = min(comes, sum(map(_surface, gaps)) / _surface(emitters.box))
+        kept = [*kept, *gaps]
+        drawn = np.concatenate([BESIDE_OPENINGS * drawn, (1 - BESIDE_OPENINGS) * openings.share / openings.share.sum()])
+    near = np.where(np.isin(emitters.kind, (SUN, WORLD)) & bool(kept), max(comes, FAR), seen)
     sent = shares(emitters.flux, emitters.flags) * near
     if (seen < 1).any() and sent.sum() > 0:
         flux = shares(emitters.flux, emitters.flags)
         sent = (1 - FAR) * sent / sent.sum() + FAR * flux / flux.sum()
     return emitters._replace(
         focus=np.array(kept, np.float32).reshape(-1, 2, 3),
+        drawn=drawn.astype(np.float32),
+        around=around,
         aim=np.array([*centre, radius], np.float32),
         emission_cdf=cumulative(sent, np.float64),
     )
+
+
+def is_small(boxes: np.ndarray, around: np.ndarray) -> bool:
+    """Whether particles that are sent evenly into a box (2, 3) seldom come through openings (K, 2, 3), of which there are some."""
+    return len(boxes) > 0 and sum(map(_surface, boxes)) <= SMALL * _surface(around)
 
 
 def _seen_cones(emitters: Emitters, centre: np.ndarray, radius: float) -> np.ndarray:
@@ -482,7 +506,7 @@ def _seen_cones(emitters: Emitters, centre: np.ndarray, radius: float) -> np.nda
 
 def focus_share(emitters: Emitters) -> float:
     """How much smaller than the whole box the focus of sun and world is, 1 without one: their light from elsewhere is told by so much fewer particles."""
-    if len(emitters.focus) == 0 or not emitters.flux[np.isin(emitters.kind, (SUN, WORLD))].any():
+    if emitters.around == 0 or not emitters.flux[np.isin(emitters.kind, (SUN, WORLD))].any():
         return 1.0
     return _surface(emitters.focus[0]) / _surface(emitters.box)
 

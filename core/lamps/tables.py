@@ -119,7 +119,9 @@ class Emitters(NamedTuple):
     triangle, material: (M,) int32 into the scene's tables.
     groups: (G,) int32, emitters that direct light samples one by one; -1 is the tree.
     emission_cdf: (E + 1,) float64, by flux.  box: (2, 3), corners of the scene's bounding box.
-    focus: (K, 2, 3), corners of boxes within it where particles of sun and world count more; none: everywhere alike.
+    focus: (K, 2, 3), corners of boxes within it where particles of sun and world count more; none: everywhere alike.  drawn: (K + 1,) float32, shares
+        of these particles that are drawn to the box of the scene and to each of them.  around: how many of the first of them lie around what is lit; the
+        others are openings.
     aim: (4,), centre and radius of a sphere to which emitters far off send more of their particles, radius 0 for none.
     cutouts: whether anything in the scene lets light through.  told: whether rays to the sky are to be told apart by their kind: where what
         lets light through may be TELLING, or `parted`: where objects are met by shadow rays alone, or by diffuse rays alone.
@@ -147,6 +149,8 @@ class Emitters(NamedTuple):
     emission_cdf: np.ndarray
     box: np.ndarray
     focus: np.ndarray
+    drawn: np.ndarray
+    around: int
     aim: np.ndarray
     cutouts: bool
     told: bool

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from ..jit import inlined, kernel, leaf
-from ..lamps import focus_share, focused
+from ..lamps import Openings, focus_share, focused
 from ..lamps.direct import set_point_lobe, unevenness
 from ..lamps.escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray
 from ..particles import BRIGHTEST, SHINE, THROUGH, Vpls, by_lobe, is_ahead, surely_carried, trace_by_power
@@ -601,11 +601,13 @@ class ImportanceSampling:
         texels: int | None = None,
         tracer: Tracer = trace_probes,
         focus: bool = True,
+        openings: Openings | None = None,
     ) -> int:
         """Fill the cache of light from `paths` paths that begin at the points (None: as the samples need); the rays traced.
 
         texels: how many values of a lightmap the points are samples of, None of a picture, where most points are one: several that share a texel count as rays of it.
         tracer: traces them, or knows some of them already.  focus: whether particles are drawn to this view, which then serve no other one.
+        openings: by which sun and world shine in, None for none that are known.
         """
         self.scene = scene
         own = paths is None
@@ -630,7 +632,7 @@ class ImportanceSampling:
         self.relied = FEW_TELL**2 / (FEW_TELL**2 + _telling(probes.direct) ** 2)
         # Where the view's light comes from last: there the particles are wanted.
         self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
-        self.emitters = focused(scene.emitters, self.lit_from) if focus else scene.emitters
+        self.emitters = focused(scene.emitters, self.lit_from, openings) if focus else scene.emitters
         by_view, probed_by_view = views(scene.materials, scene.material, scene.attributes, self.threads)
         self.builder = CacheBuilder(
             probes, self.bounces + (has_lobes(points) or is_translucent(scene)), self.seed, self.threads, part(progress, 0.6, 0.8),
