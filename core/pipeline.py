@@ -399,7 +399,9 @@ def _pass(
     wants_glossy = wants("Direct", "Combined", "GlossyIndirect", "Indirect")
     wants_indirect = wants("DiffuseIndirect", "Indirect", "Irradiance", "Combined") or (behind_glass and wants("GlossyIndirect"))
     lobes = wants_glossy and has_lobes(lit) and sees_alike(scene.geometry.object_visibility)
-    tables, openings = with_openings(run, tables, points, settings, threads)
+    openings = None
+    if wants_glossy or wants_indirect:
+        tables, openings = with_openings(run, tables, points, settings, threads)
 
     def cache(run: Run) -> ImportanceSampling | None:
         return cache_stage(run, tables, lit, settings, threads, openings=openings) if wants_glossy or wants_indirect else None

@@ -360,7 +360,7 @@ def with_openings(
     run: Run, tables: Transport, points: ShadingPoints, settings: RenderSettings, threads: int
 ) -> tuple[Transport, Openings | None]:
     """The openings by which sun and world shine on the points, and tables of lamps whose world has them as portals if they are small and it has none."""
-    if settings.method != "importance-sampling" or run.sequence is not None or not len(points.pixel):
+    if settings.method != "importance-sampling" or run.sequence is not None or not (len(points.pixel) and tables.emitters.flux.any()):
         return tables, None
     with run.stage("cache"):
         openings = find_openings(tables, points.position, points.ng, points.error, settings.seed, threads)
