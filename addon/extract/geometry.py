@@ -24,6 +24,8 @@ from .strands import copy_curves, copy_hair, copy_points, hashed
 
 # Coordinates beyond this are taken for invalid: their squares overflow float32.
 _LIMIT = 1e18
+# So many vertices, at most, tell where nearly all lie: all but this share at either end, within less than this part of the bounds.
+_LOOKED_AT, _STRAY, _SMALL = 1 << 16, 0.05, 1 / 64
 # A singular value below this share of the largest one counts as zero: the instance is squashed.
 _SINGULAR = 1e-7
 _MAX_TRIANGLES = 50_000_000
@@ -306,10 +308,16 @@ def assemble(found: Collected, compiled: CompiledMaterials) -> tuple[Geometry, n
 
 
 def _origin(world: np.ndarray) -> np.ndarray:
-    """(3,) the middle of the bounds on a grid of an eighth to a quarter of them: it stays where it is while a part of the scene moves."""
+    """(3,) the middle of the bounds on a grid of an eighth to a quarter of them: it stays where it is while a part of the scene moves.
+
+    Where nearly all lies in a small part of the bounds, these are its own: about a thing that somebody has left far away the rest would have no float32 to spare.
+    """
     if not len(world):
         return np.zeros(3)
     low, high = world.min(0), world.max(0)
+    bulk = np.quantile(world[:: 1 + len(world) // _LOOKED_AT], (_STRAY, 1 - _STRAY), axis=0)
+    if (bulk[1] - bulk[0]).max() < _SMALL * (high - low).max():
+        low, high = bulk
     cell = 2.0 ** (np.floor(np.log2(max((high - low).max(), 1e-30))) - 2)
     return np.round(0.5 * (low + high) / cell) * cell
 

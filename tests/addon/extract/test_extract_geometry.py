@@ -124,6 +124,18 @@ def test_far_from_the_origin_keeps_its_precision(stage):
     np.testing.assert_allclose(np.sort(edges), (1e-3, 1e-3, math.sqrt(2) * 1e-3), rtol=1e-5)
 
 
+@pytest.mark.parametrize("distance", [3e4, 3e6])
+def test_a_thing_left_far_away_costs_the_others_no_precision(stage, distance):
+    near = np.array([(0.37 * k, 0.1, -0.3) for k in range(20)])
+    for k, place in enumerate(near):
+        stage.cube(f"Near {k}").matrix_world = Matrix.Translation(place)
+    stage.cube("Left").matrix_world = Matrix.Translation((distance, -distance / 3, 0))
+    vertices = world_vertices(stage.extract())
+    vertices = vertices[vertices[:, 0] < 100].reshape(20, 8, 3)
+    offsets = np.abs(vertices - np.float32(near).astype(float)[:, None])
+    np.testing.assert_allclose(offsets, np.broadcast_to(offsets.round(1), offsets.shape), atol=1e-5)
+
+
 def test_origin_is_the_middle_and_loose_vertices_do_not_count(stage):
     stage.mesh("Sheet", [(10, 0, 0), (12, 0, 0), (12, 4, 0), (1000, 0, 0)], [(0, 1, 2)])
     scene = stage.extract()
