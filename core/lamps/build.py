@@ -323,7 +323,7 @@ def build_emitters(scene: Scene, ray_kind: int = DIFFUSE, threads: int = 0, grou
         focus=np.zeros((0, 2, 3), np.float32),
         drawn=np.ones(1, np.float32),
         around=0,
-        aim=np.zeros(4, np.float32),
+        aims=np.zeros((0, 4), np.float32),
         cutouts=bool((scene.materials.tables.flags & TRANSPARENT).any()),
         told=parted or bool((scene.materials.tables.flags & TELLING).any()),
         parted=parted,

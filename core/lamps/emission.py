@@ -59,7 +59,8 @@ BESIDE_OPENINGS = 0.35  # of the particles of sun and world where openings are k
 FAR = 0.05  # of its flux, at least, counts what an emitter sends elsewhere
 WORTHWHILE = 0.5  # of the whole box's surface: larger focuses gain nothing
 GLOSSY_SHARE = 0.25  # by which the flux of what shines on glossy surfaces alone counts where particles are dealt
-APART = 2.0  # radii of the aim from its centre, at least, of an emitter whose particles are drawn to it
+APART = 2.0  # radii of an aim from its centre, at least, of an emitter whose particles are drawn to it
+WIDER = 2.0  # times the radius of an aim, at least, for the next one
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 _2 = np.float32(2.0)
@@ -185,42 +186,58 @@ def _focused_entry(box, focus, drawn, dx, dy, dz, u1, u2):
     return x, y, z, _1 / density
 
 
+@inlined
+def _aim_from(aims, k, x, y, z, radius):
+    """Where an aim lies from a sphere around (x, y, z) -> (vector to its centre, square of its distance, of both radii); the last is 0 where it is no aim, for it lies near."""
+    vx, vy, vz = aims[k, 0] - x, aims[k, 1] - y, aims[k, 2] - z
+    wide, d2 = aims[k, 3] + radius, vx * vx + vy * vy + vz * vz
+    return vx, vy, vz, d2, wide * wide if d2 > np.float32(APART * APART) * wide * wide else _0
+
+
 @leaf
-def _aim_at(aim, x, y, z, radius, u1, u2):
-    """Half of the particles that leave a sphere around (x, y, z) are drawn to the cone in which it sees the aim, where that lies far off.
+def _aim_at(aims, x, y, z, radius, u1, u2):
+    """Of the particles that leave a sphere around (x, y, z), as many as it draws by itself are drawn to the cone in which it sees each aim that lies far off.
 
     Returns:
-        (direction, or zeros where the emitter is to draw it, 1 - cos of the cone's half angle, 0 for no cone, and u1, stretched).
+        (direction, or zeros where the emitter is to draw it, number of aims that lie far off, and u1, stretched).
     """
-    vx, vy, vz = aim[0] - x, aim[1] - y, aim[2] - z
-    wide, d2 = aim[3] + radius, vx * vx + vy * vy + vz * vz
-    if not (aim[3] > _0 and d2 > np.float32(APART * APART) * wide * wide):
-        return _0, _0, _0, _0, u1
-    cone = one_minus_cos(wide * wide / d2)
-    if u1 < _HALF:
-        return _0, _0, _0, cone, u1 * _2
-    lx, ly, lz = uniform_cone(u1 * _2 - _1, u2, cone)
-    length = np.float32(math.sqrt(d2))
-    dx, dy, dz = to_world(lx, ly, lz, vx / length, vy / length, vz / length)
-    return dx, dy, dz, cone, u1
+    count = 0
+    for k in range(len(aims)):
+        _, _, _, _, wide2 = _aim_from(aims, k, x, y, z, radius)
+        count += wide2 > _0
+    u = u1 * np.float32(count + 1)
+    picked = min(np.int64(u), count)
+    u = min(u - np.float32(picked), np.float32(0.99999994))
+    if picked == 0:
+        return _0, _0, _0, count, u if count > 0 else u1
+    for k in range(len(aims)):
+        vx, vy, vz, d2, wide2 = _aim_from(aims, k, x, y, z, radius)
+        picked -= wide2 > _0
+        if picked == 0:
+            lx, ly, lz = uniform_cone(u, u2, one_minus_cos(wide2 / d2))
+            length = np.float32(math.sqrt(d2))
+            dx, dy, dz = to_world(lx, ly, lz, vx / length, vy / length, vz / length)
+            return dx, dy, dz, count, u
+    return _0, _0, _0, count, u
 
 
 @leaf
-def _aimed_weight(aim, x, y, z, radius, cone, own, dx, dy, dz):
-    """Density per solid angle `own` of an emitter's directions over that of `_aim_at` and itself, half of each (balance heuristic)."""
-    if not cone > _0:
+def _aimed_weight(aims, x, y, z, radius, count, own, dx, dy, dz):
+    """Density per solid angle `own` of an emitter's directions over that of `_aim_at` and itself, as many of each (balance heuristic)."""
+    if count == 0:
         return _1
-    vx, vy, vz = aim[0] - x, aim[1] - y, aim[2] - z
-    wide = aim[3] + radius
-    # By the sine, which a cosine of narrow cones does not tell.
-    cx, cy, cz = dy * vz - dz * vy, dz * vx - dx * vz, dx * vy - dy * vx
-    within = dx * vx + dy * vy + dz * vz > _0 and cx * cx + cy * cy + cz * cz <= np.float32(1.0001) * wide * wide
-    drawn = _1 / (_2PI * cone) if within else _0
-    return own / (_HALF * (own + drawn)) if own > _0 else _0
+    density = own
+    for k in range(len(aims)):
+        vx, vy, vz, d2, wide2 = _aim_from(aims, k, x, y, z, radius)
+        # By the sine, which a cosine of narrow cones does not tell.
+        cx, cy, cz = dy * vz - dz * vy, dz * vx - dx * vz, dx * vy - dy * vx
+        if wide2 > _0 and dx * vx + dy * vy + dz * vz > _0 and cx * cx + cy * cy + cz * cz <= np.float32(1.0001) * wide2:
+            density += _1 / (_2PI * one_minus_cos(wide2 / d2))
+    return own * np.float32(count + 1) / density if own > _0 else _0
 
 
 @leaf
-def _emit_point(lamps, i, spot, soft, textured, maps, aim, u1, u2, u3, u4):
+def _emit_point(lamps, i, spot, soft, textured, maps, aims, u1, u2, u3, u4):
     """Point and spot lamps -> (origin, direction, weight, and `near`, `far`, `before` of `emit`).
 
     All lines of one direction pass a disk of the lamp's radius.  Of a sphere they start on its surface, outwards where they
@@ -245,9 +262,10 @@ def _emit_point(lamps, i, spot, soft, textured, maps, aim, u1, u2, u3, u4):
             weight = _1 / (_1 - chance)
     x, y, z = lamps[i, POSITION], lamps[i, POSITION + 1], lamps[i, POSITION + 2]
     radius = lamps[i, RADIUS]
-    cone = dx = dy = dz = _0
+    dx = dy = dz = _0
+    aimed = 0
     if not crossed > _0:
-        dx, dy, dz, cone, u1 = _aim_at(aim, x, y, z, radius, u1, u2)
+        dx, dy, dz, aimed, u1 = _aim_at(aims, x, y, z, radius, u1, u2)
     mapped = textured and not crossed > _0
     if mapped and dx == _0 and dy == _0 and dz == _0:  # half of them by the map
         if u1 < _HALF:
@@ -261,15 +279,15 @@ def _emit_point(lamps, i, spot, soft, textured, maps, aim, u1, u2, u3, u4):
             dx, dy, dz = to_world(sine * np.float32(math.cos(phi)), sine * np.float32(math.sin(phi)), np.float32(1.0 - h), ax, ay, az)
         else:
             dx, dy, dz = uniform_sphere(u1, u2)
-    if cone > _0 or mapped:
+    if aimed > 0 or mapped:
         own = spot_attenuation(lamps, i, ax * dx + ay * dy + az * dz) if spot else _1
         own = drawn = own / (_2PI * full)
         if mapped:
             drawn = _HALF * (own + direction_density(maps, lamps, i, dx, dy, dz))
             weight = own / drawn if own > _0 else _0
-        if cone > _0 and own > _0:
-            weight *= _aimed_weight(aim, x, y, z, radius, cone, drawn, dx, dy, dz)
-        elif cone > _0:
+        if aimed > 0 and own > _0:
+            weight *= _aimed_weight(aims, x, y, z, radius, aimed, drawn, dx, dy, dz)
+        elif aimed > 0:
             weight = _0
     near, far, before = _0, FOR_EVER, _0
     if radius > _0:
@@ -304,7 +322,7 @@ def _area_density(lamps, i, even, cosine):
 
 
 @leaf
-def _emit_area(lamps, i, ellipse, textured, maps, aim, u1, u2, u3, u4):
+def _emit_area(lamps, i, ellipse, textured, maps, aims, u1, u2, u3, u4):
     """Area lamps -> (origin, direction, weight): uniform on the shape, cosine with the spread around the axis."""
     weight = _1
     if textured and u1 >= _HALF:  # half of them by the map
@@ -326,10 +344,10 @@ def _emit_area(lamps, i, ellipse, textured, maps, aim, u1, u2, u3, u4):
     y = lamps[i, POSITION + 1] + a * lamps[i, AXIS_X + 1] + b * lamps[i, AXIS_Y + 1]
     z = lamps[i, POSITION + 2] + a * lamps[i, AXIS_X + 2] + b * lamps[i, AXIS_Y + 2]
     even = lamps[i, TAN_HALF_SPREAD] == np.float32(np.inf)
-    dx, dy, dz, cone, u3 = _aim_at(aim, x, y, z, _0, u3, u4)
+    dx, dy, dz, aimed, u3 = _aim_at(aims, x, y, z, _0, u3, u4)
     if dx != _0 or dy != _0 or dz != _0:
         lz = -(dx * lamps[i, AXIS_Z] + dy * lamps[i, AXIS_Z + 1] + dz * lamps[i, AXIS_Z + 2])
-        return x, y, z, dx, dy, dz, weight * _aimed_weight(aim, x, y, z, _0, cone, _area_density(lamps, i, even, lz), dx, dy, dz)
+        return x, y, z, dx, dy, dz, weight * _aimed_weight(aims, x, y, z, _0, aimed, _area_density(lamps, i, even, lz), dx, dy, dz)
     if even:
         lx, ly, lz = cosine_hemisphere(u3, u4)
     else:
@@ -339,7 +357,7 @@ def _emit_area(lamps, i, ellipse, textured, maps, aim, u1, u2, u3, u4):
     dx = lx * lamps[i, AXIS_X] + ly * lamps[i, AXIS_Y] - lz * lamps[i, AXIS_Z]
     dy = lx * lamps[i, AXIS_X + 1] + ly * lamps[i, AXIS_Y + 1] - lz * lamps[i, AXIS_Z + 1]
     dz = lx * lamps[i, AXIS_X + 2] + ly * lamps[i, AXIS_Y + 2] - lz * lamps[i, AXIS_Z + 2]
-    return x, y, z, dx, dy, dz, weight * _aimed_weight(aim, x, y, z, _0, cone, _area_density(lamps, i, even, lz), dx, dy, dz)
+    return x, y, z, dx, dy, dz, weight * _aimed_weight(aims, x, y, z, _0, aimed, _area_density(lamps, i, even, lz), dx, dy, dz)
 
 
 @inlined
@@ -367,7 +385,7 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
         shapes = emitters.shapes
         u, v = uniform_triangle(u1, u2)
         x, y, z, nx, ny, nz, error = hit_point(emitters.vertices, emitters.triangles, emitters.triangle[i], u, v)
-        dx, dy, dz, cone, u3 = _aim_at(emitters.aim, x, y, z, _0, u3, u4)
+        dx, dy, dz, aimed, u3 = _aim_at(emitters.aims, x, y, z, _0, u3, u4)
         forwards = _HALF
         if emitters.flags[e] & (FRONT_OUT | BACK_OUT):
             forwards = (_1 if emitters.flags[e] & FRONT_OUT else INWARDS) / (_1 + INWARDS)
@@ -380,7 +398,7 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
             side = _1 if front else -_1
             dx, dy, dz = to_world(lx, ly, lz, side * shapes[i, NORMAL], side * shapes[i, NORMAL + 1], side * shapes[i, NORMAL + 2])
         chance = forwards if side > _0 else _1 - forwards
-        w *= _HALF / chance * _aimed_weight(emitters.aim, x, y, z, _0, cone, chance * lz / _PI, dx, dy, dz)
+        w *= _HALF / chance * _aimed_weight(emitters.aims, x, y, z, _0, aimed, chance * lz / _PI, dx, dy, dz)
         x, y, z = offset_origin(x, y, z, nx, ny, nz, error, dx, dy, dz)
         if emitters.flags[e] & TEXTURED:
             triangle, material = emitters.triangle[i], emitters.material[i]
@@ -405,13 +423,13 @@ def emit(emitters, rows, surface, u0, u1, u2, u3, u4):
         w *= area
     elif kind == AREA:
         x, y, z, dx, dy, dz, k = _emit_area(
-            emitters.lamps, e, emitters.flags[e] & ELLIPTIC, emitters.flags[e] & TEXTURED, emitters.maps, emitters.aim, u1, u2, u3, u4
+            emitters.lamps, e, emitters.flags[e] & ELLIPTIC, emitters.flags[e] & TEXTURED, emitters.maps, emitters.aims, u1, u2, u3, u4
         )
         w *= k
     else:
         soft = emitters.flags[e] & SOFT
         x, y, z, dx, dy, dz, k, near, far, before = _emit_point(
-            emitters.lamps, e, kind == SPOT, soft, emitters.flags[e] & TEXTURED, emitters.maps, emitters.aim, u1, u2, u3, u4
+            emitters.lamps, e, kind == SPOT, soft, emitters.flags[e] & TEXTURED, emitters.maps, emitters.aims, u1, u2, u3, u4
         )
         w *= k
     if emitters.flags[e] & TEXTURED and kind != TRIANGLE:
@@ -450,8 +468,8 @@ def focused(emitters: Emitters, places: np.ndarray, openings: Openings | None = 
         boxes.append(_widened(boxes[-1], 0.5 * (wider ** (1 / (count + 1)) - 1) * (boxes[-1][1] - boxes[-1][0]).max()))
     boxes = [np.clip(box, *emitters.box) for box in boxes]
     kept = [box for box in boxes if _surface(box) < WORTHWHILE * _surface(emitters.box)]
-    centre, radius = boxes[0].mean(axis=0), 0.5 * float(np.linalg.norm(boxes[0][1] - boxes[0][0]))
-    seen = _seen_cones(emitters, centre, radius)
+    aims = _balls([*boxes, emitters.box])
+    seen = _seen_cones(emitters, *aims[0])
     around, gaps = len(kept), [] if openings is None else openings.boxes
     if not is_small(gaps, boxes[0] if around else emitters.box):
         gaps = []
@@ -473,7 +491,7 @@ def focused(emitters: Emitters, places: np.ndarray, openings: Openings | None = 
         focus=np.array(kept, np.float32).reshape(-1, 2, 3),
         drawn=drawn.astype(np.float32),
         around=around,
-        aim=np.array([*centre, radius], np.float32),
+        aims=np.array([[*centre, radius] for centre, radius in aims], np.float32),
         emission_cdf=cumulative(sent, np.float64),
     )
 
@@ -481,6 +499,16 @@ def focused(emitters: Emitters, places: np.ndarray, openings: Openings | None = 
 def is_small(boxes: np.ndarray, around: np.ndarray) -> bool:
     """Whether particles that are sent evenly into a box (2, 3) seldom come through openings (K, 2, 3), of which there are some."""
     return len(boxes) > 0 and sum(map(_surface, boxes)) <= SMALL * _surface(around)
+
+
+def _balls(boxes: list[np.ndarray]) -> list[tuple[np.ndarray, float]]:
+    """Centre (3,) and radius of the spheres around the first of the boxes (2, 3), and around others of which each is much larger than those before."""
+    balls = []
+    for box in boxes:
+        radius = 0.5 * float(np.linalg.norm(box[1] - box[0]))
+        if not balls or radius > WIDER * balls[-1][1]:
+            balls.append((box.mean(axis=0), radius))
+    return balls
 
 
 def _seen_cones(emitters: Emitters, centre: np.ndarray, radius: float) -> np.ndarray:

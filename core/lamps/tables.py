@@ -122,7 +122,7 @@ class Emitters(NamedTuple):
     focus: (K, 2, 3), corners of boxes within it where particles of sun and world count more; none: everywhere alike.  drawn: (K + 1,) float32, shares
         of these particles that are drawn to the box of the scene and to each of them.  around: how many of the first of them lie around what is lit; the
         others are openings.
-    aim: (4,), centre and radius of a sphere to which emitters far off send more of their particles, radius 0 for none.
+    aims: (K, 4), centres and radii of spheres to which emitters far off send more of their particles, each larger than the one before.
     cutouts: whether anything in the scene lets light through.  told: whether rays to the sky are to be told apart by their kind: where what
         lets light through may be TELLING, or `parted`: where objects are met by shadow rays alone, or by diffuse rays alone.
     light_group: (E,) int32, object_light_group: (O,) int32: the light group of each emitter, and of each object's triangles.
@@ -151,7 +151,7 @@ class Emitters(NamedTuple):
     focus: np.ndarray
     drawn: np.ndarray
     around: int
-    aim: np.ndarray
+    aims: np.ndarray
     cutouts: bool
     told: bool
     parted: bool

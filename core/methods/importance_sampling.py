@@ -537,6 +537,13 @@ def lights_wanted(points: int) -> float:
     return min(1.0, points / ALL_LIGHTS)
 
 
+def _places(probes: Probes) -> np.ndarray:
+    """Where the view's light comes from last, (N, 3): of what visible points have met all that reflects anything, and not a dome that only shines, which lies around them."""
+    seen = probes.valid[::DEPTH] > 0
+    reflects = (probes.albedo[::DEPTH] > 0).any(axis=1) | (probes.carry[::DEPTH] > 0).any(axis=1) | (probes.shine[::DEPTH] > 0).any(axis=1)
+    return probes.position[::DEPTH][seen & reflects if (seen & reflects).any() else seen]
+
+
 def _telling(direct: np.ndarray) -> float:
     """Kish's effective number of the probes that know of the direct light (N, 3 G); 0 where there is none."""
     light = np.einsum("nc->n", direct.astype(np.float64))
@@ -631,7 +638,7 @@ class ImportanceSampling:
             probes, rays = Probes.concatenate([probes, others]), rays + found
         self.relied = FEW_TELL**2 / (FEW_TELL**2 + _telling(probes.direct) ** 2)
         # Where the view's light comes from last: there the particles are wanted.
-        self.lit_from = probes.position[::DEPTH][probes.valid[::DEPTH] > 0]
+        self.lit_from = _places(probes)
         self.emitters = focused(scene.emitters, self.lit_from, openings) if focus else scene.emitters
         by_view, probed_by_view = views(scene.materials, scene.material, scene.attributes, self.threads)
         self.builder = CacheBuilder(

@@ -77,6 +77,18 @@ def path_traced(room):
     return solver.irradiance(points)
 
 
+def test_particles_are_wanted_where_something_reflects():
+    """And not on a dome around it all that only shines."""
+    probes = Probes.allocate(6 * DEPTH)
+    probes.valid[: 5 * DEPTH] = 1
+    probes.position[::DEPTH, 0] = np.arange(6)
+    probes.albedo[0 * DEPTH], probes.carry[2 * DEPTH], probes.shine[4 * DEPTH], probes.albedo[5 * DEPTH] = 0.5, 0.5, 0.5, 0.5
+    assert importance_sampling._places(probes)[:, 0].tolist() == [0, 2, 4]
+    for light in (probes.albedo, probes.carry, probes.shine):
+        light[:] = 0
+    assert importance_sampling._places(probes)[:, 0].tolist() == [0, 1, 2, 3, 4]
+
+
 def test_what_is_foreseen_is_nearer_the_light_than_what_few_rays_find(room, path_traced):
     # Relative to the mean: .066, of the rays .18, and all that differs from place to place is .12.
     _, points = room

@@ -746,6 +746,17 @@ def test_particles_of_lamps_far_off_are_drawn_to_a_place(name):
     assert np.std(few[0]) < (1.5 if name == "cut spot" else 0.4) * np.std(few[1])  # whose own cone is narrow
 
 
+@pytest.mark.parametrize("name", ["point", "sphere", "rectangle", "mesh"])
+def test_particles_of_lamps_far_off_that_just_miss_the_place_are_no_sparks(name):
+    """A sky of a mesh around a garden: the lawn beside the house was lit by what it sends all around."""
+    rows, options = DISTANT[name]
+    light = lit(*rows, **options)
+    near = focused(light.emitters, np.random.default_rng(3).uniform(-0.1, 0.1, (500, 3)))
+    assert np.allclose(emitted(near, 2**18)[0] / cell_irradiance(light), 1, atol=0.06)
+    few = [[emitted(e, 2**12, seed=seed)[0].sum() for seed in range(8)] for e in (near, light.emitters)]
+    assert np.std(few[0]) < 0.4 * np.std(few[1])
+
+
 def test_lamps_far_off_leave_particles_to_a_near_one():
     light = lit(lamp(sc.POINT, 1e4, (200, 0, 100)), lamp(sc.POINT, 1), lamp(sc.SPOT, 1e3, (50, 0, 50), (-1, 0, -1), angle=0.1))
     near = focused(light.emitters, np.random.default_rng(3).uniform(-1, 1, (500, 3)))
