@@ -185,7 +185,8 @@ def emitter_density(emitters, e, px, py, pz, nx, ny, nz, dx, dy, dz):
         if not (height > _0 and x0 < x1 and y0 < y1):
             return _0
         if not by_area:
-            angle = rectangle_angle(x0 - x, x1 - x, y0 - y, y1 - y, height)
+            ax, ay = np.float64(x), np.float64(y)
+            angle = rectangle_angle(x0 - ax, x1 - ax, y0 - ay, y1 - ay, height)
             if angle > 1e-9:
                 return np.float32(1.0 / angle)
         area = (x1 - x0) * (y1 - y0) * (np.float32(math.pi / 4) if by_area else _1)

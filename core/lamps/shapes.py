@@ -190,7 +190,8 @@ def sample_area(lamps, i, ellipse, px, py, pz, u1, u2):
         r2 = sx * sx + sy * sy + height * height
         weight = _PI * half_x * half_y * height / (r2 * np.float32(math.sqrt(r2)))
     else:
-        qx, qy, angle = sample_rectangle(x0 - x, x1 - x, y0 - y, y1 - y, height, u1, u2)
+        ax, ay = np.float64(x), np.float64(y)
+        qx, qy, angle = sample_rectangle(x0 - ax, x1 - ax, y0 - ay, y1 - ay, height, u1, u2)
         sx, sy, weight = np.float32(qx), np.float32(qy), np.float32(angle)
         if ellipse and ((sx + x) / half_x) ** 2 + ((sy + y) / half_y) ** 2 > _1:
             weight = _0

@@ -1,4 +1,8 @@
-"""Uniform sampling of what a rectangle and a triangle subtend, in float64, whatever the arguments: near lights, and those seen at a slant, leave no room for less."""
+"""Uniform sampling of what a rectangle and a triangle subtend, in float64, whatever the arguments.
+
+Near lights, those seen at a slant and small ones leave no room for less: what they subtend is the difference of angles that are nearly the same.  Take the
+distances of a rectangle's edges from the point in float64, too.
+"""
 
 from __future__ import annotations
 

@@ -167,7 +167,8 @@ def _portal_angle(portals, i, px, py, pz, nx, ny, nz):
     across_y = abs(nx * portals[i, AXIS_Y] + ny * portals[i, AXIS_Y + 1] + nz * portals[i, AXIS_Y + 2])
     if not nx * cx + ny * cy + nz * cz + half_x * across_x + half_y * across_y > _0:
         return _0
-    return max(_0, np.float32(rectangle_angle(-half_x - x, half_x - x, -half_y - y, half_y - y, height)))
+    ax, ay = np.float64(x), np.float64(y)
+    return max(_0, np.float32(rectangle_angle(-half_x - ax, half_x - ax, -half_y - ay, half_y - ay, height)))
 
 
 @inlined
@@ -210,7 +211,8 @@ def _through_portal(portals, px, py, pz, nx, ny, nz, u1, u2):
             u = min(u, np.float32(0.99999994))
     x, y, height = area_view(portals, chosen, px, py, pz)
     half_x, half_y = _HALF * portals[chosen, SIZE], _HALF * portals[chosen, SIZE + 1]
-    qx, qy, _ = sample_rectangle(-half_x - x, half_x - x, -half_y - y, half_y - y, height, u, u2)
+    ax, ay = np.float64(x), np.float64(y)
+    qx, qy, _ = sample_rectangle(-half_x - ax, half_x - ax, -half_y - ay, half_y - ay, height, u, u2)
     sx, sy = np.float32(qx), np.float32(qy)
     short = _1 / np.float32(math.sqrt(sx * sx + sy * sy + height * height))
     sx, sy, sz = short * sx, short * sy, short * height

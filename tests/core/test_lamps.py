@@ -141,6 +141,17 @@ def test_rectangle(height):
     assert np.allclose(e, 5 * math.pi * 4 * rectangle_factor(1, 0.5, height), rtol=1e-3)
 
 
+@pytest.mark.parametrize("size", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
+def test_small_rectangles(size):
+    """Each lights like a patch of its area: what it subtends is far less than what angles in float32 are rounded to."""
+    at = np.array([[0, 0, 0], [1.3, -0.4, 0], [-3, 2, 0]])
+    row = lamp(sc.AREA, 5 / size**2, (0.4, 0.3, 2), size=(size, size))
+    row["axes"] = np.diag([1.0, 1, 1])
+    d2 = np.sum((at - [0.4, 0.3, 2]) ** 2, axis=1)
+    e = lit(row)(at)
+    assert np.allclose(e, (5 * 4 / d2**2)[:, None], rtol=1e-3)
+
+
 def test_area_lamp_shines_forwards_only():
     assert not lit(lamp(sc.AREA, 5, (0, 0, 1), towards=(0, 0, 1)))([[0, 0, 0]]).any()
 
