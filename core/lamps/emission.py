@@ -55,7 +55,9 @@ MARGIN = 0.05  # of a focus's size, on all sides
 # Of half the surface of the box that particles enter: by larger openings enough of them come in as it is (living room .25, Sponza .06: a few percent more
 # error with openings, which take particles from what lies beside).
 SMALL = 0.03
-BESIDE_OPENINGS = 0.35  # of the particles of sun and world where openings are known: for what comes in by others, or after a bounce outside
+BESIDE_OPENINGS = (
+    0.35  # of the particles of sun and world where openings have all lines: for what comes in by others, or after a bounce outside
+)
 FAR = 0.05  # of its flux, at least, counts what an emitter sends elsewhere
 WORTHWHILE = 0.5  # of the whole box's surface: larger focuses gain nothing
 GLOSSY_SHARE = 0.25  # by which the flux of what shines on glossy surfaces alone counts where particles are dealt
@@ -479,9 +481,10 @@ def focused(emitters: Emitters, places: np.ndarray, openings: Openings | None = 
     comes = _surface(boxes[0]) / _surface(emitters.box) if around else 1.0
     drawn = np.full(1 + around, 1 / (1 + around))
     if len(gaps):
-        comes = min(comes, sum(map(_surface, gaps)) / _surface(emitters.box))
+        through = openings.share.sum()
+        comes = (1 - through) * comes + through * min(comes, sum(map(_surface, gaps)) / _surface(emitters.box))
         kept = [*kept, *gaps]
-        drawn = np.concatenate([BESIDE_OPENINGS * drawn, (1 - BESIDE_OPENINGS) * openings.share / openings.share.sum()])
+        drawn = np.concatenate([(1 - (1 - BESIDE_OPENINGS) * through) * drawn, (1 - BESIDE_OPENINGS) * openings.share])
     near = np.where(np.isin(emitters.kind, (SUN, WORLD)) & bool(kept), max(comes, FAR), seen)
     sent = shares(emitters.flux, emitters.flags) * near
     if (seen < 1).any() and sent.sum() > 0:

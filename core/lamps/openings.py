@@ -39,7 +39,7 @@ class Openings(NamedTuple):
     """K openings.
 
     boxes: (K, 2, 3) float32, flat.  outwards: (K,) -1 or 1, which way along their axis light leaves.  share: (K,) of the lines that each has, whose
-    sum is at most 1.  open: the part of the rays from the places, by the cosine, that meet nothing.  rays: that have looked for them.
+    sum is at most 1.  open: the part of the rays from the places, by the cosine, that meet nothing, 1 where there is no world.  rays: that have looked for them.
     """
 
     boxes: np.ndarray
@@ -65,8 +65,8 @@ def no_openings() -> Openings:
 
 
 @kernel
-def _escape(scene, position, normal, error, suns, seed, lines, begin, end):
-    """Rays begin..end-1 into the sky, or to the `suns`: those that escape get their direction in `lines` (R, 6), after their place.
+def _escape(scene, position, normal, error, suns, turns, seed, lines, begin, end):
+    """Rays begin..end-1 to the `suns` in turn, and, where there are more `turns`, into the sky: those that escape get their direction in `lines` (R, 6), after their place.
 
     Half of them leave from places (N, 3), half from what rays from there meet.
     """
@@ -88,7 +88,7 @@ def _escape(scene, position, normal, error, suns, seed, lines, begin, end):
                     nx, ny, nz = -nx, -ny, -nz
                 rise *= np.float32(2)
                 x, y, z = x + rise * nx, y + rise * ny, z + rise * nz
-        turn = (ray // 2) % (len(suns) + 1)
+        turn = (ray // 2) % turns
         if turn == len(suns):
             lx, ly, lz = cosine_hemisphere(u1, u2)
             dx, dy, dz = to_world(lx, ly, lz, nx, ny, nz)
@@ -110,19 +110,22 @@ def find_openings(scene, position: np.ndarray, normal: np.ndarray, error: np.nda
     """
     emitters = scene.emitters
     suns = np.flatnonzero(emitters.kind[: len(emitters.source)] == SUN)
-    if not len(position) or not (len(suns) or (emitters.kind == WORLD).any()):
+    turns = len(suns) + int((emitters.kind == WORLD).any())
+    if not len(position) or not turns:
         return no_openings()
     found, skies, sent, first = np.zeros((0, 6), np.float32), 0, 0, 0
-    to_sky = (np.arange(RAYS) // 2) % (len(suns) + 1) == len(suns)
+    to_sky = (np.arange(RAYS) // 2) % turns == len(suns)
     for first in range(0, MOST_RAYS, RAYS):
         lines = np.zeros((RAYS, 6), np.float32)
-        look = partial(_escape, scene, position, normal, error, suns, np.uint32((seed + first) & 0xFFFFFFFF), lines)
+        look = partial(_escape, scene, position, normal, error, suns, turns, np.uint32((seed + first) & 0xFFFFFFFF), lines)
         run_chunks(look, RAYS, RAYS // 8, threads)
         escaped = lines[:, 3:].any(axis=1)
         found, skies, sent = np.concatenate([found, lines[escaped]]), skies + np.count_nonzero(escaped & to_sky), sent + to_sky.sum()
         if len(found) >= SURE:
             break
-    return _openings(found, position, np.asarray(emitters.box, np.float64), seed)._replace(open=skies / sent, rays=3 * (first + RAYS) // 2)
+    return _openings(found, position, np.asarray(emitters.box, np.float64), seed)._replace(
+        open=skies / sent if sent else 1.0, rays=3 * (first + RAYS) // 2
+    )
 
 
 class _Gap(NamedTuple):

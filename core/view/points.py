@@ -30,8 +30,8 @@ class ShadingPoints(NamedTuple):
     wo: (N, 3) float32, unit, towards the viewer.
     f0, f90: (N, 3), roughness: (N,) float32, Schlick's glossy lobe (f0 and f90 times the share of the pixel).
     gloss: (N, 4) float32, `layout.GLOSS`.
-    behind_glass: (N,) uint8, `BEHIND` where the view passes glass: the pixel shows all light of the point as transmitted light; `SCATTERED` where it does so by
-        a ray drawn from a lobe, as through frosted glass: the next sample may show something else.
+    behind_glass: (N,) uint8, `BEHIND` where the view passes glass: the pixel shows all light of the point as transmitted light; `SCATTERED` where that is
+        frosted: the next sample may show something else.
     spread: (N, SPREAD, 3) float32, where else the pixel shows the surface, as offsets from the position (m); 0 for nowhere.
     facet: (N, SPREAD) int32, their triangles.
     varied: (N, SPREAD + 1, VARIED) float32, by how much the shading normal differs from `ns` and the geometric one from `ng` at the position and at each

@@ -351,7 +351,7 @@ def _shade(tile, lane, most, seed, number, pixel, turn, member, points, n_points
             points.roughness[i], points.gloss[i, 0] = group[k, G_COAT_ROUGHNESS] / light, COAT_TOP
         points.behind_glass[i] = 0
         if tile.glass[lane, best] > 0:
-            points.behind_glass[i] = BEHIND if tile.shining[lane, best] else SCATTERED
+            points.behind_glass[i] = SCATTERED if tile.scattered[lane, best] else BEHIND
         points.tilt[i] = sample[best, TILTED] if turn == REFLECTING else np.float32(0.0)
         points.rough[i] = sample[best, ROUGH] if turn == REFLECTING else np.float32(0.0)
         if turn == REFLECTING and sample[best, SHEENED + 3] != 0:

@@ -150,7 +150,7 @@ class Tile(NamedTuple):
     sums: (16, 2) float32, of what the samples reflect and emit, and of its square.  mixed: (16,) uint8, whether they show several things.
     origin: (16, 3), passed: (16,) float32, of the rays of a packet.  axial, before: (16,) float32, depth (m) by a meter of it, and before its origin.
     choice: (16, 2) float32, a uniform number for the next surface with transparency, and the share of all samples among which it is even.
-    shown_by: (16, R) int32, triangle of the mirror or the glass through which a row is seen, -1 for none.
+    shown_by: (16, R) int32, triangle of the mirror or the glass through which a row is seen, -1 for none.  scattered: (16, R) uint8, whether a ray through frosted glass has met it.
     parted: (16,) int32, whether the sample shows a surface without glass as well as what lies behind it.
     frosted: (16,) int32, the row whose lobe shows what the sample meets, -1 for none.  looking: (16,) uint8, whether the sample only looks for more glass.
     frosting: (16, 3) float32, of the glass that the lobe of that row stands for: 1 where the ray of a packet is in it, else 0; where along the ray its last
@@ -193,6 +193,7 @@ class Tile(NamedTuple):
     every: np.ndarray
     lobe: np.ndarray
     shown_by: np.ndarray
+    scattered: np.ndarray
 
 
 @kernel
@@ -209,7 +210,7 @@ def new_tile(samples, light_groups, lamps):
         np.empty((WIDTH, 2), f), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f), np.empty(WIDTH, f), np.empty(WIDTH, f), np.empty(WIDTH, f),
         np.empty((WIDTH, 2), f), np.empty(WIDTH, i), np.empty(WIDTH, i), np.empty(WIDTH, np.uint8), np.empty((WIDTH, 3), f),
         np.arange(lamps).astype(i), np.empty(LOBE, f),
-        np.empty((WIDTH, rows), i),
+        np.empty((WIDTH, rows), i), np.empty((WIDTH, rows), np.uint8),
     )  # fmt: skip
 
 
@@ -412,7 +413,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
         tile.shown[pixel, s] = tile.through[pixel, s] = 0
         tile.shown_by[pixel, s] = -1
         tile.frost[pixel, s] = _0
-        tile.shining[pixel, s] = 1
+        tile.shining[pixel, s], tile.scattered[pixel, s] = 1, 0
         passed[lane] = _0
         tile.parted[lane] = tile.looking[lane] = 0
         tile.frosted[lane] = -1
@@ -543,6 +544,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                     tile.count[pixel] += 1
                     glass[pixel, row], kinds[pixel, row], entered[pixel, row] = glass[pixel, s], kinds[pixel, s], entered[pixel, s]
                     tile.shown[pixel, row], tile.shining[pixel, row] = tile.shown[pixel, s], tile.shining[pixel, s]
+                    tile.scattered[pixel, row] = tile.scattered[pixel, s]
                     tile.shown_by[pixel, row] = tile.shown_by[pixel, s]
                     tile.shown[pixel, s] = tile.through[pixel, row] = 0
                     tile.frost[pixel, row] = _0
@@ -597,7 +599,7 @@ def _trace_lanes(rays, camera, film, materials, geometry, lamps, near_lamps, n_l
                         direction[pixel, s, 0], direction[pixel, s, 1], direction[pixel, s, 2] = dx, dy, dz
                         tile.before[lane] += t * tile.axial[lane]
                         if seen_by_lobe:
-                            tile.shining[pixel, s] = 0
+                            tile.shining[pixel, s], tile.scattered[pixel, s] = 0, 1
                         start = passed[lane] = _0
                 elif kinds[pixel, s] == CAMERA:
                     far = (camera.clip[1] - camera.clip[0]) / tile.axial[lane]
