@@ -50,7 +50,7 @@ class WorldTable(NamedTuple):
 
     radiance: (H, W, 3).  rows, columns: (H + 1,), (H, W + 1) CDFs for direct light, of what exceeds the mean
         (see `world`).  emission_rows, emission_columns: CDFs of the light that enters the scene's box.
-    portals: (P, LAMP) float32, windows that the world shines in by, with the place, axes and size of an area lamp.
+    portals: (P, LAMP) float32, windows that the world shines in by, with the place, axes and size of an area lamp.  aimed: share of the rays that go through them.
     varies: whether the first pair of CDFs is used at all.  estimate: (4,) irradiance of a surface with normal n
         is about estimate[0] + estimate[1:] . n (mean of the channels).  sought: as of `World`.
     """
@@ -63,6 +63,7 @@ class WorldTable(NamedTuple):
     varies: bool
     estimate: np.ndarray
     sought: np.float32
+    aimed: np.float32
     portals: np.ndarray
 
 

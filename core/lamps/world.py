@@ -22,13 +22,14 @@ from .tables import AXIS_X, AXIS_Y, AXIS_Z, LAMP, POSITION, SIZE, WorldTable
 
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
-_2 = np.float32(2.0)
 _HALF = np.float32(0.5)
 _PI = np.float32(math.pi)
 _1_PI = np.float32(1 / math.pi)
 _2PI = np.float32(2 * math.pi)
 _1_2PI = np.float32(0.5 / math.pi)
-_BY_PORTALS = np.float32(0.75)  # of the rays of what portals face: the rest find what shines past them, and the brightest parts of the sky
+# Of the rays of what portals face so many go through them, by so much less as the light comes from parts of the sky that are so many times as bright as the mean, such as suns; of the
+# others, which find those and what shines past the portals, so many are even.  Without portals it is half of all.
+BY_PORTALS, PEAKED, PEAK, _BESIDE = 0.75, 0.35, 10.0, np.float32(0.25)
 
 
 def pixel_directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -86,6 +87,7 @@ def world_table(
     mean = (radiance_for_density * solid_angle[..., None]).sum((0, 1)) / (4 * np.pi)
     value = radiance_for_density.mean(-1)
     above = np.maximum(value - mean.mean(), 0) * solid_angle
+    peaks = np.maximum(value - PEAK * mean.mean(), 0) * solid_angle
     entering = _entering(box, height, width)
     emitted = value * entering
     harmonics = (value[..., None] * solid_angle[..., None] * direction).sum((0, 1)) / 2
@@ -98,6 +100,7 @@ def world_table(
         varies=not constant,
         estimate=np.array([np.pi * mean.mean(), *harmonics], np.float32),
         sought=np.float32(sought),
+        aimed=np.float32(BY_PORTALS - PEAKED * peaks.sum() / max((value * solid_angle).sum(), 1e-300)),
         portals=portal_table(np.zeros((0, 3, 3)) if portals is None else portals),
     )
     flux = (radiance_for_density * entering[..., None]).sum((0, 1))
@@ -225,16 +228,16 @@ def _through_portal(portals, px, py, pz, nx, ny, nz, u1, u2):
 @leaf
 def world_density(world, px, py, pz, nx, ny, nz, dx, dy, dz):
     """Density (per sr) with which `sample_world` gives the direction d at p on a surface with normal n."""
+    through, faced = _0, False
+    if len(world.portals) > 0:
+        through, faced = _portals_density(world.portals, px, py, pz, nx, ny, nz, dx, dy, dz)
     density = max(_0, dx * nx + dy * ny + dz * nz) * _1_PI
     if world.varies:
         height, width = world.radiance.shape[0], world.radiance.shape[1]
         y, x = _pixel(world, dx, dy, dz, height, width)
-        density = _HALF * (density + _pixel_density(world, y, x, height, width))
-    if len(world.portals) > 0:
-        through, faced = _portals_density(world.portals, px, py, pz, nx, ny, nz, dx, dy, dz)
-        if faced:
-            density = _BY_PORTALS * through + (_1 - _BY_PORTALS) * density
-    return density
+        even = _BESIDE if faced else _HALF
+        density = even * density + (_1 - even) * _pixel_density(world, y, x, height, width)
+    return world.aimed * through + (_1 - world.aimed) * density if faced else density
 
 
 @inlined
@@ -250,35 +253,35 @@ def faces_portals(world, px, py, pz, nx, ny, nz):
 def sample_world(world, px, py, pz, nx, ny, nz, u1, u2):
     """Direction for direct light at p on a surface with normal n -> (d, radiance / density): six float32."""
     if faces_portals(world, px, py, pz, nx, ny, nz):
-        if u1 < _BY_PORTALS:
-            dx, dy, dz = _through_portal(world.portals, px, py, pz, nx, ny, nz, u1 / _BY_PORTALS, u2)
+        if u1 < world.aimed:
+            dx, dy, dz = _through_portal(world.portals, px, py, pz, nx, ny, nz, u1 / world.aimed, u2)
         else:
-            dx, dy, dz, _, _, _ = _sample_sky(world, nx, ny, nz, (u1 - _BY_PORTALS) / (_1 - _BY_PORTALS), u2)
+            dx, dy, dz, _, _, _ = _sample_sky(world, _BESIDE, nx, ny, nz, (u1 - world.aimed) / (_1 - world.aimed), u2)
         w = _1 / max(world_density(world, px, py, pz, nx, ny, nz, dx, dy, dz), np.float32(1e-12))
         r, g, b = world_radiance(world, dx, dy, dz)
         return dx, dy, dz, w * r, w * g, w * b
-    return _sample_sky(world, nx, ny, nz, u1, u2)
+    return _sample_sky(world, _HALF, nx, ny, nz, u1, u2)
 
 
 @leaf
-def _sample_sky(world, nx, ny, nz, u1, u2):
-    """`sample_world` without portals."""
+def _sample_sky(world, even, nx, ny, nz, u1, u2):
+    """`sample_world` without portals; even: share of the directions that follow the cosine."""
     if not world.varies:
         lx, ly, lz = cosine_hemisphere(u1, u2)
         dx, dy, dz = to_world(lx, ly, lz, nx, ny, nz)
         w = _PI / max(lz, np.float32(1e-6))
         return dx, dy, dz, world.radiance[0, 0, 0] * w, world.radiance[0, 0, 1] * w, world.radiance[0, 0, 2] * w
     height, width = world.radiance.shape[0], world.radiance.shape[1]
-    if u1 < _HALF:
-        lx, ly, lz = cosine_hemisphere(u1 * _2, u2)
+    if u1 < even:
+        lx, ly, lz = cosine_hemisphere(u1 / even, u2)
         dx, dy, dz = to_world(lx, ly, lz, nx, ny, nz)
         cosine = lz
         y, x = _pixel(world, dx, dy, dz, height, width)
         density = _pixel_density(world, y, x, height, width)
     else:
-        dx, dy, dz, y, x, density = _sample_pixel(world.rows, world.columns, u1 * _2 - _1, u2)
+        dx, dy, dz, y, x, density = _sample_pixel(world.rows, world.columns, (u1 - even) / (_1 - even), u2)
         cosine = max(_0, dx * nx + dy * ny + dz * nz)
-    both = _HALF * (cosine * _1_PI + density)
+    both = even * cosine * _1_PI + (_1 - even) * density
     w = _1 / max(both, np.float32(1e-12))
     return dx, dy, dz, world.radiance[y, x, 0] * w, world.radiance[y, x, 1] * w, world.radiance[y, x, 2] * w
 

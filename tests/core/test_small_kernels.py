@@ -44,14 +44,15 @@ def test_angles_of_a_spread_are_the_inverse_of_their_distribution(half):
         assert np.interp(_spread_angle(half, u), x, below) == pytest.approx(u, abs=1e-6)
 
 
+@pytest.mark.parametrize("drawn", [(1 / 3, 1 / 3, 1 / 3), (0.25, 0.5, 0.25), (0.25, 0.75, 0.0)])
 @pytest.mark.parametrize("direction", [(0, 0, -1), (0.6, 0, -0.8), (1 / 3, 2 / 3, -2 / 3)])
-def test_focused_rays_cover_the_box_evenly(direction):
+def test_focused_rays_cover_the_box_evenly(direction, drawn):
     # The mean of the inverse density is the area of the box's shadow, for a focus inside of it.
     box = np.array([(-1, -2, 0), (3, 2, 1)], F)
     focus = np.array([[(0, -1, 0.2), (1, 0, 0.4)], [(0.5, -0.5, 0.3), (2, 1, 0.9)]], F)
     area = np.abs(direction) @ [4 * 1, 4 * 1, 4 * 4]
-    u = (np.stack(np.meshgrid(np.arange(24), np.arange(24)), -1).reshape(-1, 2) + 0.5) / 24
-    rays = np.array([_focused_entry(box, focus, *F(direction), *F(pair)) for pair in u], float)
+    u = (np.stack(np.meshgrid(np.arange(48), np.arange(48)), -1).reshape(-1, 2) + 0.5) / 48
+    rays = np.array([_focused_entry(box, focus, F(drawn), *F(direction), *F(pair)) for pair in u], float)
     assert rays[:, 3].mean() == pytest.approx(area, rel=0.03)
     for x, y, z, _ in rays[::17]:
         enter, leave = _slabs(box, F(x), F(y), F(z), *F(direction))
