@@ -55,9 +55,8 @@ MARGIN = 0.05  # of a focus's size, on all sides
 # Of half the surface of the box that particles enter: by larger openings enough of them come in as it is (living room .25, Sponza .06: a few percent more
 # error with openings, which take particles from what lies beside).
 SMALL = 0.03
-BESIDE_OPENINGS = (
-    0.35  # of the particles of sun and world where openings have all lines: for what comes in by others, or after a bounce outside
-)
+# Of the particles of sun and world where openings have all lines: for what comes in by others, or after a bounce outside.
+BESIDE_OPENINGS = 0.35
 FAR = 0.05  # of its flux, at least, counts what an emitter sends elsewhere
 WORTHWHILE = 0.5  # of the whole box's surface: larger focuses gain nothing
 GLOSSY_SHARE = 0.25  # by which the flux of what shines on glossy surfaces alone counts where particles are dealt
