@@ -57,6 +57,8 @@ MARGIN = 0.05  # of a focus's size, on all sides
 SMALL = 0.03
 # Of the particles of sun and world where openings have all lines: for what comes in by others, or after a bounce outside.
 BESIDE_OPENINGS = 0.35
+# Of an opening's size, on all sides of a box that gets as many particles as it: a window that stands askew leaves some of its light to what lies beside.
+AROUND_OPENINGS = 0.25
 FAR = 0.05  # of its flux, at least, counts what an emitter sends elsewhere
 WORTHWHILE = 0.5  # of the whole box's surface: larger focuses gain nothing
 GLOSSY_SHARE = 0.25  # by which the flux of what shines on glossy surfaces alone counts where particles are dealt
@@ -482,8 +484,10 @@ def focused(emitters: Emitters, places: np.ndarray, openings: Openings | None = 
     if len(gaps):
         through = openings.share.sum()
         comes = (1 - through) * comes + through * min(comes, sum(map(_surface, gaps)) / _surface(emitters.box))
-        kept = [*kept, *gaps]
-        drawn = np.concatenate([(1 - (1 - BESIDE_OPENINGS) * through) * drawn, (1 - BESIDE_OPENINGS) * openings.share])
+        wider = [np.clip(_widened(gap, AROUND_OPENINGS * (gap[1] - gap[0]).max()), *emitters.box) for gap in gaps]
+        kept = [*kept, *gaps, *wider]
+        shared = 0.5 * (1 - BESIDE_OPENINGS) * openings.share
+        drawn = np.concatenate([(1 - (1 - BESIDE_OPENINGS) * through) * drawn, shared, shared])
     near = np.where(np.isin(emitters.kind, (SUN, WORLD)) & bool(kept), max(comes, FAR), seen)
     sent = shares(emitters.flux, emitters.flags) * near
     if (seen < 1).any() and sent.sum() > 0:
