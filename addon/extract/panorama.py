@@ -14,7 +14,6 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -28,22 +27,11 @@ CAMERA_RAY = {"Is Camera Ray": 1.0, "Ray Length": 1e10}
 _SUN_PIXELS, _SUN_SAMPLES = 32, 64
 
 
-@dataclass
-class Sun:
-    """A sun disc taken out of a sky.
-
-    direction: (3,) towards it.  irradiance: (3,) W/m^2 on a plane that faces it.  angle: diameter (rad).
-    """
-
-    direction: np.ndarray
-    irradiance: np.ndarray
-    angle: float
-
-
 def render_panorama(
     world: bpy.types.World, frame: int, width: int, height: int, ray: dict[str, float] = DIFFUSE_RAY
-) -> tuple[np.ndarray, list[Sun]]:
-    """(height, width, 3) float32 radiance, row 0 at the top, and the suns that it leaves out.
+) -> tuple[np.ndarray, np.ndarray]:
+    """(height, width, 3) float32 radiance, row 0 at the top, and the suns that it leaves out, as rows (K, 7) float64:
+    direction, irradiance (W/m^2) on a plane that faces it, and diameter (rad).
 
     Each pixel is the radiance of its middle.  `world` is no evaluated one.  ray: what Light Path nodes tell, by output; 0 for the others.
     """
@@ -54,12 +42,12 @@ def render_panorama(
             node.sun_disc = False
         radiance = _shoot(scene, (width, height), 1, path)
         suns = [_measure_sun(scene, node, path) for node in discs]
-    return radiance, [sun for sun in suns if sun.irradiance.any()]
+    return radiance, np.array([sun for sun in suns if sun[3:6].any()]).reshape(-1, 7)
 
 
 def render_panorama_apart(
     world: bpy.types.World, frame: int, width: int, height: int, ray: dict[str, float] = DIFFUSE_RAY
-) -> tuple[np.ndarray, list[Sun]]:
+) -> tuple[np.ndarray, np.ndarray]:
     """`render_panorama` in a process of its own.
 
     Raises:
@@ -76,17 +64,7 @@ def render_panorama_apart(
         if run.returncode != 0:
             raise RuntimeError((run.stderr.strip() or run.stdout.strip()).rsplit("\n", 1)[-1])
         with np.load(Path(folder) / "panorama.npz") as stored:
-            return stored["radiance"], unpack_suns(stored["suns"])
-
-
-def pack_suns(suns: list[Sun]) -> np.ndarray:
-    """(n, 7) float64 rows of direction, irradiance, angle."""
-    return np.array([[*sun.direction, *sun.irradiance, sun.angle] for sun in suns], np.float64).reshape(-1, 7)
-
-
-def unpack_suns(rows: np.ndarray) -> list[Sun]:
-    """The inverse of `pack_suns`."""
-    return [Sun(row[:3], row[3:6], float(row[6])) for row in rows]
+            return stored["radiance"], stored["suns"]
 
 
 @contextmanager
@@ -204,8 +182,8 @@ def _shoot(
     return np.ascontiguousarray(np.nan_to_num(pixels, nan=0, posinf=0, neginf=0))
 
 
-def _measure_sun(scene: bpy.types.Scene, node: bpy.types.Node, path: Path) -> Sun:
-    """The irradiance of a disc: the sky with it less the sky without, through a telescope."""
+def _measure_sun(scene: bpy.types.Scene, node: bpy.types.Node, path: Path) -> np.ndarray:
+    """The row (7,) of a disc: the sky with it less the sky without, through a telescope."""
     elevation, rotation = node.sun_elevation, node.sun_rotation
     direction = np.array([math.sin(rotation) * math.cos(elevation), math.cos(rotation) * math.cos(elevation), math.sin(elevation)])
     view = direction, 1.3 * node.sun_size
@@ -219,7 +197,7 @@ def _measure_sun(scene: bpy.types.Scene, node: bpy.types.Node, path: Path) -> Su
     # A pixel at (x, y) in the plane at distance 1 has the solid angle dx dy / r^3, and the cosine 1 / r.
     weight = (2 * half / _SUN_PIXELS) ** 2 / (1 + x[:, None] ** 2 + x**2) ** 2
     irradiance = np.maximum(((with_disc - without) * weight[..., None]).sum((0, 1), dtype=np.float64), 0)
-    return Sun(direction, irradiance, node.sun_size)
+    return np.array([*direction, *irradiance, node.sun_size], np.float64)
 
 
 def _main(folder: Path) -> None:
@@ -228,7 +206,7 @@ def _main(folder: Path) -> None:
     with bpy.data.libraries.load(str(folder / "world.blend")) as (_, wanted):
         wanted.worlds = [task.pop("world")]
     radiance, suns = render_panorama(wanted.worlds[0], **task)
-    np.savez(folder / "panorama.npz", radiance=radiance, suns=pack_suns(suns))
+    np.savez(folder / "panorama.npz", radiance=radiance, suns=suns)
 
 
 if __name__ == "__main__":

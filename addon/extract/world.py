@@ -15,11 +15,13 @@ import numpy as np
 import platformdirs
 
 from ...core.errors import SceneError
+from ...core.lamps.bright_spots import Sun, take_out_suns
+from ...core.lamps.world import row_angles
 from ...core.scene import ALL_RAYS, CAMERA, DIFFUSE, GLOSSY, SHADOW, SUN, TRANSMISSION, World
 from .fingerprint import fingerprint
 from .lamps import FEW_BOUNCES, Lamp
 from .nodes import Shader, node_tree, surface
-from .panorama import CAMERA_RAY, DIFFUSE_RAY, Sun, all_nodes, pack_suns, render_panorama, render_panorama_apart, unpack_suns
+from .panorama import CAMERA_RAY, DIFFUSE_RAY, all_nodes, render_panorama, render_panorama_apart
 
 # Where Cycles may compute: in the open file, in a process of its own (a render runs in this one), or not now.
 Cycles = Literal["here", "apart", "not"]
@@ -100,12 +102,27 @@ def extract_world(
             seen = _rendered(scene, world, tree, cycles, CAMERA_RAY)
             if seen is not None:
                 found.world.seen = _reduced(seen[0])
-                visibility &= ALL_RAYS if seen[1] else ~CAMERA
-        found.suns = [_sun_lamp(world, sun, visibility) for sun in suns]
+                visibility &= ALL_RAYS if len(seen[1]) else ~CAMERA
+        found.suns = [_sun_lamp(world, Sun(sun[:3], sun[3:6], float(sun[6])), visibility) for sun in suns]
         if len(suns) == 1:
             found.world.sought = BESIDE_A_SUN
     found.world.radiance = _reduced(radiance)
+    _part_suns(found, world)
     return found
+
+
+def _part_suns(found: ExtractedWorld, world: bpy.types.World) -> None:
+    """Make lamps of the suns in a panorama; the camera still sees these in it."""
+    whole = found.world.radiance
+    found.world.radiance, suns = take_out_suns(whole)
+    if not suns:
+        return
+    if found.world.seen is None:
+        found.world.seen = whole
+    found.suns += [_sun_lamp(world, sun, found.world.visibility & ~CAMERA) for sun in suns]
+    if found.world.sought == 1:  # Cycles' rays to an image follow its brightness, suns and all
+        light = [row_angles(*image.shape[:2]) @ image.mean(axis=(1, 2), dtype=np.float64) for image in (found.world.radiance, whole)]
+        found.world.sought = float(light[0] / light[1])
 
 
 def _reduced(radiance: np.ndarray) -> np.ndarray:
@@ -184,13 +201,13 @@ def _shrink(pixels: np.ndarray, width: int) -> np.ndarray:
 
 def _rendered(
     scene: bpy.types.Scene, world: bpy.types.World, tree: bpy.types.NodeTree, cycles: Cycles, ray: dict[str, float]
-) -> tuple[np.ndarray, list[Sun]] | None:
-    """The panorama and suns of any world as a ray sees them, from the cache or by Cycles, if that may run."""
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The panorama and suns (K, 7), as `render_panorama`, of any world as a ray sees them, from the cache or by Cycles, if that may run."""
     widths = [node.image.size[0] for node in all_nodes(tree) if node.type == "TEX_ENVIRONMENT" and node.image is not None]
     width = min(max([_WIDTH, *widths]), _MAX_WIDTH)
     stored = cache_folder() / f"{fingerprint(tree, width, _RENDERED_AS, ray)}.npz"
     with suppress(OSError, ValueError, KeyError), np.load(stored) as kept:  # a damaged file is rendered again
-        return kept["radiance"], unpack_suns(kept["suns"])
+        return kept["radiance"], kept["suns"].reshape(-1, 7)
     if cycles == "not":
         return None
     render = render_panorama_apart if cycles == "apart" else render_panorama
@@ -208,11 +225,11 @@ def cache_folder() -> Path:
     return Path(platformdirs.user_cache_dir("lumigate")) / "worlds"
 
 
-def _store(path: Path, radiance: np.ndarray, suns: list[Sun]) -> None:
+def _store(path: Path, radiance: np.ndarray, suns: np.ndarray) -> None:
     """Keep a panorama, and forget the oldest ones beyond a gigabyte."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
-        np.savez(file, radiance=radiance, suns=pack_suns(suns))
+        np.savez(file, radiance=radiance, suns=suns)
     os.replace(file.name, path)
     total = 0
     for old in sorted(path.parent.glob("*.npz"), key=lambda p: p.stat().st_mtime, reverse=True):

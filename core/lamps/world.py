@@ -32,14 +32,22 @@ _1_2PI = np.float32(0.5 / math.pi)
 BY_PORTALS, PEAKED, PEAK, _BESIDE = 0.75, 0.35, 10.0, np.float32(0.25)
 
 
+def pixel_direction(row: np.ndarray, column: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Unit directions (..., 3), float64, of the centres of pixels in a panorama; row and column are broadcast."""
+    theta, phi = np.pi * (np.asarray(row) + 0.5) / height, np.pi - 2 * np.pi * (np.asarray(column) + 0.5) / width
+    z = np.broadcast_to(np.cos(theta), np.broadcast_shapes(theta.shape, phi.shape))
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), z], -1)
+
+
+def row_angles(height: int, width: int) -> np.ndarray:
+    """(H,) float64 solid angles of each row's pixels (sr)."""
+    edges = np.cos(np.pi * np.arange(height + 1) / height)
+    return (2 * np.pi / width) * (edges[:-1] - edges[1:])
+
+
 def pixel_directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     """Unit directions (H, W, 3) of the pixels' centres, and solid angles (H, 1) of each row's pixels (sr), float64."""
-    theta = np.pi * (np.arange(height) + 0.5)[:, None] / height
-    phi = np.pi - 2 * np.pi * (np.arange(width) + 0.5)[None] / width
-    z = np.broadcast_to(np.cos(theta), (height, width))
-    direction = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), z], -1)
-    edges = np.cos(np.pi * np.arange(height + 1) / height)
-    return direction, (2 * np.pi / width) * (edges[:-1] - edges[1:])[:, None]
+    return pixel_direction(np.arange(height)[:, None], np.arange(width), height, width), row_angles(height, width)[:, None]
 
 
 def projected_box_area(box: np.ndarray, direction: np.ndarray) -> np.ndarray:

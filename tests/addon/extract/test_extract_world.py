@@ -159,6 +159,29 @@ def test_large_environment_image_is_averaged_down(stage, sky, tmp_path, monkeypa
     np.testing.assert_allclose(radiance.mean((0, 1)), whole.mean(0), rtol=1e-4)
 
 
+def sunny(height=256, width=512):
+    """A dim sky with one pixel that gives half of its light."""
+    pixels = np.full((height, width, 3), 0.5)
+    pixels[60, 100] = 4 * math.pi * 0.5 / (2 * math.pi / width * (math.cos(math.pi * 60 / height) - math.cos(math.pi * 61 / height)))
+    return pixels
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turn", [None, (0.5, 0.3, 0.2)])
+def test_the_sun_of_an_image_becomes_a_lamp_of_the_same_light(stage, sky, tmp_path, cycles_irradiance, turn):
+    tree, background = sky
+    environment(tree, background, saved(image(sunny()), tmp_path), turn)
+    stage.scene.world.cycles_visibility.glossy = False
+    scene = stage.extract()
+    assert scene.lamps.kind.tolist() == [SUN] and scene.lamps.names == ["World (sun)"]
+    assert scene.lamps.visibility[0] == ALL_RAYS & ~(CAMERA | GLOSSY | SHADOW)  # the camera sees it in the sky
+    assert scene.world.radiance.max() < 1 < 1000 < scene.world.seen.max()
+    assert scene.world.sought == pytest.approx(0.5, abs=0.02)
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    stage.receiver()
+    np.testing.assert_allclose(upward_irradiance(scene), cycles_irradiance(256).mean(0), rtol=0.02)
+
+
 @pytest.mark.slow
 def test_tilted_environment_is_rendered(stage, sky, tmp_path, monkeypatch, cycles_irradiance):
     monkeypatch.setattr(room, "_WIDTH", 256)
