@@ -17,7 +17,7 @@ from .errors import SceneError
 from .inspection import foresee, savings
 from .jit import CompileTimer
 from .lamps import DirectLight, Emitters, LightGroups, Openings, build_emitters, direct_light, find_openings, highlights, sharp_emitters
-from .lamps.emission import small_ones
+from .lamps.emission import is_small
 from .lamps.escapes import shadows_alike
 from .lamps.links import is_linked
 from .lamps.world import portal_table
@@ -366,8 +366,8 @@ def with_openings(
         openings = find_openings(tables, points.position, points.ng, points.error, settings.seed, threads)
     run.rays["light"] += openings.rays
     emitters = tables.emitters
-    few = openings.open <= MOSTLY_CLOSED and openings.share.sum() >= MOSTLY
-    if not (few and small_ones(openings.boxes, emitters.box).all()) or len(emitters.world.portals):
+    few = openings.open <= MOSTLY_CLOSED and openings.share.sum() >= MOSTLY and is_small(openings.boxes, emitters.box)
+    if not few or len(emitters.world.portals):
         return tables, openings
     world = emitters.world._replace(portals=portal_table(openings.portals()))
     return tables._replace(emitters=emitters._replace(world=world)), openings

@@ -17,7 +17,7 @@ from ..sampling.maps import concentric_disk, cosine_hemisphere, to_world, unifor
 from ..scene import AREA, POINT, SPOT, SUN
 from ..surfaces.layout import EMISSION
 from ..surfaces.program import evaluate, reflected_view
-from .openings import Openings, no_openings
+from .openings import Openings
 from .shapes import one_minus_cos, spot_attenuation, spread_attenuation
 from .tables import (
     AREA_M2,
@@ -473,21 +473,20 @@ def focused(emitters: Emitters, places: np.ndarray, openings: Openings | None = 
     kept = [box for box in boxes if _surface(box) < WORTHWHILE * _surface(emitters.box)]
     aims = _balls([*boxes, emitters.box])
     seen = _seen_cones(emitters, *aims[0])
-    around = len(kept)
-    openings = no_openings() if openings is None else openings
-    small = small_ones(openings.boxes, boxes[0] if around else emitters.box)
-    gaps, share = openings.boxes[small], openings.share[small]
+    around, gaps = len(kept), [] if openings is None else openings.boxes
+    if not is_small(gaps, boxes[0] if around else emitters.box):
+        gaps = []
     if not around + len(gaps) and (seen == 1).all():
         return emitters
     # Of what such an emitter sends, about this share comes near the places.
     comes = _surface(boxes[0]) / _surface(emitters.box) if around else 1.0
     drawn = np.full(1 + around, 1 / (1 + around))
     if len(gaps):
-        through = share.sum()
+        through = openings.share.sum()
         comes = (1 - through) * comes + through * min(comes, sum(map(_surface, gaps)) / _surface(emitters.box))
         wider = [np.clip(_widened(gap, AROUND_OPENINGS * (gap[1] - gap[0]).max()), *emitters.box) for gap in gaps]
         kept = [*kept, *gaps, *wider]
-        shared = 0.5 * (1 - BESIDE_OPENINGS) * share
+        shared = 0.5 * (1 - BESIDE_OPENINGS) * openings.share
         drawn = np.concatenate([(1 - (1 - BESIDE_OPENINGS) * through) * drawn, shared, shared])
     near = np.where(np.isin(emitters.kind, (SUN, WORLD)) & bool(kept), max(comes, FAR), seen)
     sent = shares(emitters.flux, emitters.flags) * near
@@ -503,13 +502,9 @@ def focused(emitters: Emitters, places: np.ndarray, openings: Openings | None = 
     )
 
 
-def small_ones(boxes: np.ndarray, around: np.ndarray) -> np.ndarray:
-    """Which (K,) openings (K, 2, 3) seldom let in particles that are sent evenly into a box (2, 3): the smallest, as many as are small together."""
-    surfaces = np.array([_surface(box) for box in boxes])
-    order = np.argsort(surfaces, kind="stable")
-    small = np.zeros(len(boxes), bool)
-    small[order] = np.cumsum(surfaces[order]) <= SMALL * _surface(around)
-    return small
+def is_small(boxes: np.ndarray, around: np.ndarray) -> bool:
+    """Whether particles that are sent evenly into a box (2, 3) seldom come through openings (K, 2, 3), of which there are some."""
+    return len(boxes) > 0 and sum(map(_surface, boxes)) <= SMALL * _surface(around)
 
 
 def _balls(boxes: list[np.ndarray]) -> list[tuple[np.ndarray, float]]:
