@@ -79,7 +79,7 @@ def test_a_single_pixel():
 
 def test_several_suns_strongest_first():
     panorama = sky()
-    for (towards, share) in zip((unit(1, 0, 0.3), unit(0, 1, 0.6), unit(-1, 0, 0.2)), (0.2, 0.6, 0.1)):
+    for towards, share in zip((unit(1, 0, 0.3), unit(0, 1, 0.6), unit(-1, 0, 0.2)), (0.2, 0.6, 0.1)):
         panorama = with_disc(panorama, towards, math.radians(0.8), share)
     rest, suns = take_out_suns(panorama)
     strength = [sun.irradiance.mean() for sun in suns]
@@ -103,7 +103,15 @@ def dim_stars():
     return panorama
 
 
+def with_pixel(value):
+    panorama = sky()
+    panorama[100, 100] = value
+    return panorama
+
+
 NO_SUNS = {
+    "infinite": with_pixel(np.inf),
+    "not a number": with_pixel(np.nan),
     "even": np.ones((1, 1, 3), np.float32),
     "black": np.zeros((HEIGHT, WIDTH, 3), np.float32),
     "gradient": sky(),

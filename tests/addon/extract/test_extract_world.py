@@ -4,6 +4,7 @@ import math
 
 import bpy
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 from lumigate.addon.extract import world as room
@@ -170,7 +171,12 @@ def sunny(height=256, width=512):
 @pytest.mark.parametrize("turn", [None, (0.5, 0.3, 0.2)])
 def test_the_sun_of_an_image_becomes_a_lamp_of_the_same_light(stage, sky, tmp_path, cycles_irradiance, turn):
     tree, background = sky
-    environment(tree, background, saved(image(sunny()), tmp_path), turn)
+    path = str(tmp_path / "sunny.exr")  # what Blender saves has no such peak
+    file = oiio.ImageOutput.create(path)
+    file.open(path, oiio.ImageSpec(512, 256, 3, oiio.FLOAT))
+    file.write_image(sunny().astype(np.float32))
+    file.close()
+    environment(tree, background, bpy.data.images.load(path), turn)
     stage.scene.world.cycles_visibility.glossy = False
     scene = stage.extract()
     assert scene.lamps.kind.tolist() == [SUN] and scene.lamps.names == ["World (sun)"]
