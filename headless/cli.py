@@ -11,6 +11,7 @@ import shutil
 import signal
 import sys
 import traceback
+from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
@@ -62,6 +63,15 @@ def leave(status: int) -> NoReturn:
             stream.flush()
     remove_temporary_folder()
     os._exit(status)
+
+
+def end_at_once(terminal) -> NoReturn:
+    """End the process, cancelled, amid what cannot be told to stop; terminal: a `Terminal`."""
+    terminal.say(CANCELLED)
+    if terminal.err.is_terminal:
+        terminal.err.show_cursor()
+    remove_temporary_folder()
+    os._exit(130)
 
 
 def remove_temporary_folder() -> None:
@@ -126,6 +136,7 @@ def _run(arguments, interrupts) -> int:
         from .console import open_terminal
 
     with open_terminal(interrupts) as terminal:
+        interrupts.end = partial(end_at_once, terminal)
         try:
             with interrupts.held():
                 command = importlib.import_module(f".commands.{arguments.command}", __package__)

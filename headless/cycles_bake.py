@@ -11,6 +11,7 @@ import numpy as np
 
 from ..addon.extract.evaluation import overridden
 from .console import quiet
+from .interrupts import ending_amid
 
 PASSES = {"irradiance": {"DIRECT", "INDIRECT"}, "indirect": {"INDIRECT"}}
 _MANY_BOUNCES = 256  # as in `reference`: only diffuse ones cut
@@ -60,6 +61,7 @@ def bake_by_cycles(
             context = {"scene": scene, "view_layer": view_layer, "object": active, "active_object": active}
             stack.enter_context(bpy.context.temp_override(**context, selected_objects=list(objects)))
             stack.enter_context(quiet())
+            stack.enter_context(ending_amid())
             begin = time.perf_counter()
             bpy.ops.object.bake(
                 type="DIFFUSE", pass_filter=PASSES[content], margin=margin, margin_type="EXTEND", uv_layer=layer, use_clear=True,

@@ -2,19 +2,24 @@
 
 An exception alone is not enough: raised while Blender or a library's callback runs, it is printed and forgotten.  So it is also
 written down, whoever reports progress asks for it, and one that Python could not raise comes again a moment later.
+Cycles' renders and bakes hear nothing until they are over, and swallow what is raised then: the process ends amid them (`ending_amid`).
 """
 
 from __future__ import annotations
 
 import _thread
+import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _MOMENT = 0.05  # s, in which a callback is likely to be over
+
+
+_listener: Interrupts | None = None  # whose block this is
 
 
 class Interrupts:
@@ -25,16 +30,20 @@ class Interrupts:
         self._held = False
         self._listening = False
         self._hook = sys.unraisablehook  # as it was before
+        self.end: Callable[[], None] | None = None  # what ends the process at once, None where nothing may
 
     @contextmanager
     def listening(self) -> Iterator[None]:
         """SIGINT and SIGTERM are heard inside the block."""
+        global _listener
         before = [(number, signal.signal(number, self._hear)) for number in _SIGNALS]
         self._hook, sys.unraisablehook = sys.unraisablehook, self._not_raised
         self._listening = True
+        outer, _listener = _listener, self
         try:
             yield
         finally:
+            _listener = outer
             self._listening, sys.unraisablehook = False, self._hook
             for number, handler in before:
                 signal.signal(number, handler)
@@ -75,3 +84,34 @@ class Interrupts:
             signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)  # which ends a wait, too
         else:
             _thread.interrupt_main()
+
+
+@contextmanager
+def ending_amid() -> Iterator[None]:
+    """Inside the block, which writes no file of the user's, Ctrl-C and a kill end the process at once, by the `end` of who listens; without one nothing is different.
+
+    For calls that do not come back to Python until they are over: a thread waits for the signals' numbers, which Python's C code writes to a pipe.
+    """
+    end = _listener.end if _listener is not None else None
+    if end is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+
+    def watch() -> None:
+        while number := os.read(reading, 1):
+            if number[0] in _SIGNALS:
+                end()
+                return
+
+    watcher = threading.Thread(target=watch, name="interrupts", daemon=True)
+    before = signal.set_wakeup_fd(writing)
+    watcher.start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(before)
+        os.close(writing)  # ends the thread
+        watcher.join()
+        os.close(reading)

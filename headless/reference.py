@@ -34,6 +34,7 @@ from ..core.errors import SceneError
 from ..core.layers import Layers, read_exr, write_exr
 from ..core.scene import REMAINDER
 from ..core.threads import Cancelled
+from .interrupts import ending_amid
 
 # Raise it when a change here changes pixels: cached references of older versions are then rendered anew.
 REFERENCE_VERSION = 1
@@ -329,7 +330,8 @@ def _render(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> tuple[La
     """Cycles' passes by their long names, and the seconds of rendering and of reading them back."""
     start = time.perf_counter()
     try:
-        outcome = bpy.ops.render.render(scene=scene.name)
+        with ending_amid():
+            outcome = bpy.ops.render.render(scene=scene.name)
     except RuntimeError as error:
         raise SceneError(f"Cycles cannot render scene {scene.name!r}: {' '.join(str(error).split())}") from error
     if "FINISHED" not in outcome:

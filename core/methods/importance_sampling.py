@@ -678,7 +678,7 @@ class ImportanceSampling:
             return
         lights = vpls.position[first], vpls.surface_normal[first], vpls.side[first]
         size = float(self.cache.size) * GROWTH ** (LEVELS - 1)
-        trust = trusted(strength, *lights, self.cache.root, self.cache.centre, self.cache.side, size)
+        trust = trusted(strength, *lights, self.cache.root, self.cache.centre, self.cache.side, size, self.threads)
         trust += np.float32(self.relied) * (1 - trust)  # what the cache does not know must come from lights, however strong
         self.cache = self.cache._replace(lit=trust[:, None] * self.cache.lit, share=trust * self.cache.share, trust=trust)
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..jit import kernel
+from ..threads import thread_count
 
 # What half of the paths tells of a cell beyond so many times what the other half knows of it, and beyond the view's mean light, is
 # a rare path: it is spread over the cells of the next coarser one.  In one cell it would be a spark.
@@ -87,7 +88,7 @@ def strengths(flux: np.ndarray, tau: float, places: np.ndarray) -> np.ndarray:
 
 def trusted(
     strength: np.ndarray, position: np.ndarray, normal: np.ndarray, side: np.ndarray, root: np.ndarray, centre: np.ndarray,
-    side_of: np.ndarray, size: float,
+    side_of: np.ndarray, size: float, threads: int = 0,
 ) -> np.ndarray:  # fmt: skip
     """How much of what lights could carry is left to them in each cell, (C,) float32: little where they are strong.
 
@@ -102,7 +103,11 @@ def trusted(
     kinds = np.unique(side)
     kind = [np.searchsorted(kinds, which) for which in (side, side_of[cells])]
     tree = cKDTree(np.column_stack([position, scale * np.column_stack([normal, kind[0]])]))
-    _, near = tree.query(np.column_stack([middle[:, :3], scale * np.column_stack([middle[:, 3:], kind[1]])]), k=min(NEAREST, len(strength)))
+    _, near = tree.query(
+        np.column_stack([middle[:, :3], scale * np.column_stack([middle[:, 3:], kind[1]])]),
+        k=min(NEAREST, len(strength)),
+        workers=thread_count(threads),
+    )
     strong = strength.astype(np.float64)[near.reshape(len(cells), -1)]
     # Strong lights are few where weak ones are many: each counts by the surface for which it stands.
     strong = (strong * strong).sum(axis=1) / np.maximum(strong.sum(axis=1), 1e-30)

@@ -247,15 +247,22 @@ def test_script_of_blender_refuses_in_one_line(tmp_path):
     assert "Traceback" not in result.stderr
 
 
-def test_ctrl_c_leaves_nothing_and_says_so(rendered, tmp_path):
+CANCELLED = {
+    "render": (["--stats", "stats.json", "--size", "512x512", "--vpls", "100000"], b"direct"),
+    "reference": (["--size", "256x256", "--spp", "1000000"], b"0:00:02"),  # Cycles hears nothing, and would take hours
+}
+
+
+@pytest.mark.parametrize("command", CANCELLED)
+def test_ctrl_c_leaves_nothing_and_says_so(rendered, tmp_path, command):
     """On a terminal of its own, so that the progress bar tells when the light is being gathered."""
+    options, awaited = CANCELLED[command]
     leader, follower = pty.openpty()
-    argv = ["render", "cornell", "-o", tmp_path / "out.exr", "--stats", tmp_path / "stats.json", "--size", "512x512", "--vpls", "100000"]
-    command = [sys.executable, "-m", "lumigate.headless.cli", *map(str, argv)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=follower, cwd=tmp_path) as process:
+    run = [sys.executable, "-m", "lumigate.headless.cli", command, "cornell", "-o", str(tmp_path / "out.exr"), *options]
+    with subprocess.Popen(run, stdout=subprocess.DEVNULL, stderr=follower, cwd=tmp_path) as process:
         os.close(follower)
         seen = b""
-        while b"direct" not in seen:
+        while awaited not in seen:
             seen += os.read(leader, 4096)
         process.send_signal(signal.SIGINT)
         try:

@@ -4,6 +4,7 @@ import ctypes
 import select
 import signal
 import sys
+import threading
 import time
 
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from lumigate.core.threads import Cancelled, run_chunks
 from lumigate.headless import cli
 from lumigate.headless.console import Terminal
-from lumigate.headless.interrupts import Interrupts
+from lumigate.headless.interrupts import Interrupts, ending_amid
 from lumigate.headless.stress import processes
 from lumigate.headless.stress.processes import interruption, killing, run
 
@@ -35,6 +36,29 @@ def test_an_interrupt_that_a_callback_swallows_comes_again():
         select.select([], [], [], 30)
     assert went_on and time.monotonic() - begin < 25  # not only when the wait is over
     assert sys.unraisablehook is hook
+
+
+def test_what_hears_nothing_is_ended_amid():
+    """A call that swallows what is raised, as Blender does, is not over when its end is asked for."""
+    interrupts, ended = Interrupts(), threading.Event()
+    callback = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGTERM))
+    with pytest.raises(KeyboardInterrupt), interrupts.listening():
+        interrupts.end = ended.set
+        with ending_amid():
+            callback()
+            assert ended.wait(30)
+            select.select([], [], [], 30)
+    assert signal.set_wakeup_fd(-1) == -1
+
+
+def test_nothing_ends_amid_where_nobody_listens():
+    interrupts = Interrupts()
+    interrupts.end = pytest.fail
+    with pytest.raises(KeyboardInterrupt):
+        with interrupts.listening():
+            pass
+        with ending_amid():
+            signal.raise_signal(signal.SIGINT)
 
 
 def test_a_fault_that_an_interrupt_causes_is_an_interrupt(monkeypatch, capsys):
