@@ -8,8 +8,8 @@ Cycles' renders and bakes hear nothing until they are over, and swallow what is 
 from __future__ import annotations
 
 import _thread
-import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -90,28 +90,28 @@ class Interrupts:
 def ending_amid() -> Iterator[None]:
     """Inside the block, which writes no file of the user's, Ctrl-C and a kill end the process at once, by the `end` of who listens; without one nothing is different.
 
-    For calls that do not come back to Python until they are over: a thread waits for the signals' numbers, which Python's C code writes to a pipe.
+    For calls that do not come back to Python until they are over: a thread waits for the signals' numbers, which Python's C code writes to a socket (Windows has no pipes for this).
     """
     end = _listener.end if _listener is not None else None
     if end is None or threading.current_thread() is not threading.main_thread():
         yield
         return
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
+    reading, writing = socket.socketpair()
+    writing.setblocking(False)
 
     def watch() -> None:
-        while number := os.read(reading, 1):
+        while number := reading.recv(1):
             if number[0] in _SIGNALS:
                 end()
                 return
 
     watcher = threading.Thread(target=watch, name="interrupts", daemon=True)
-    before = signal.set_wakeup_fd(writing)
+    before = signal.set_wakeup_fd(writing.fileno())
     watcher.start()
     try:
         yield
     finally:
         signal.set_wakeup_fd(before)
-        os.close(writing)  # ends the thread
+        writing.close()  # ends the thread
         watcher.join()
-        os.close(reading)
+        reading.close()
