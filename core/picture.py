@@ -231,7 +231,7 @@ class Picture:
         elif indirect and self.glossy_indirect.any():
             guide, is_clean = self._mirrored_guide(denoiser, threads, quality)
             light = cleaned(self.glossy_indirect, self._glossy_guide(guide), clean_aux=is_clean, normal=self.guide_normal)
-            found["glossy_indirect"] = light if self.glossy_albedo is None else self._off_matt(light)
+            found["glossy_indirect"] = light if self.glossy_albedo is None else _taken_off(light, self.glossy_indirect, self.glossy_albedo)
         if direct and self.direct.any():
             found["direct"], found["sharp"] = self._direct_cleaned(cleaned, QUICKER.get(quality, quality), threads)
         return replace(self, **found)
@@ -245,14 +245,18 @@ class Picture:
             clean, sharp = matt._direct_cleaned(cleaned, quality, threads) if matt.direct.any() else (matt.direct, matt.sharp)
             return self.shine + clean, sharp
         if self.sharp is None:
-            return cleaned(self.direct, self.albedo, quality, highlights=True), None
+            return self._off_lamps(cleaned(self.direct, self.albedo, quality, highlights=True)), None
         soft = self.direct - self.sharp
         if not largest(soft).max() <= LEAST_SOFT * self.sharp.mean():  # nor where that is no number
             soft = cleaned(soft, self.albedo, quality, highlights=True)
         sharp = cleaned(self.sharp, self.albedo, quality, highlights=True)
         if self.unshadowed is not None:
             give_shadows_back(sharp, SharpLight(self.sharp, self.unshadowed, self.doubt), threads)
-        return soft + sharp, sharp
+        return self._off_lamps(soft + sharp), self._off_lamps(sharp)
+
+    def _off_lamps(self, light: np.ndarray) -> np.ndarray:
+        """Denoised direct light without what lies on pixels that reflect none: on bulbs right before a wall, whose light there is thousands of times what is left of it elsewhere, and on the sky."""
+        return light if self.glossy_albedo is None else _taken_off(light, self.direct, np.maximum(self.albedo, self.glossy_albedo))
 
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
         """The albedo with what narrow lobes show, of which few rays have told, and whether it is free of noise."""
@@ -280,22 +284,6 @@ class Picture:
             return guide
         scale = np.float32(SHOWN / np.quantile(glossy, MOSTLY))
         return np.float32(0.5) * (guide + np.minimum(scale * self.glossy_albedo, np.float32(1)))
-
-    def _off_matt(self, light: np.ndarray) -> np.ndarray:
-        """Denoised glossy light (H, W, 3) without what lies on pixels of no lobe and no light, which the denoiser has smeared there: their neighbours get it back.
-
-        A pattern of metal and of what is none has one guide where what either reflects is alike.
-        """
-        matt = (largest(self.glossy_albedo) <= NEGLIGIBLE) & ~self.glossy_indirect.any(axis=2)
-        if not matt.any():
-            return light
-        around = partial(uniform_filter, size=(AROUND, AROUND, 1), mode="constant")
-        kept = np.where(matt[..., None], np.float32(0), light)
-        taken = light - kept
-        others = around(kept)
-        near = others > 1e-6 * light.mean()
-        share = around(np.divide(taken, others, out=np.zeros_like(light), where=near))
-        return kept * (1 + share) + np.where(near, np.float32(0), taken)
 
     def _diffuse_cleaned(self, denoiser: Denoiser, cleaned: Callable[..., np.ndarray], threads: int) -> np.ndarray:
         """The diffuse indirect light without noise: the mean of two ways to denoise it, whose errors have little in common.
@@ -395,6 +383,23 @@ def _ratios(light, foreseen, least, known, ratio, rows, begin, end):
                     own = light[y, x, c] / foreseen[y, x, c] if foreseen[y, x, c] > least else whole / (r + g + b)
                 ratio[y, x, c] = own
                 rows[y] += own
+
+
+def _taken_off(light: np.ndarray, noisy: np.ndarray, reflected: np.ndarray) -> np.ndarray:
+    """Denoised light (H, W, 3) without what lies on pixels that have none in `noisy` and reflect none: their neighbours get back what the denoiser has smeared there.
+
+    A pattern of metal and of what is none has one guide where what either reflects is alike, and a lamp's guide is a shadow's.
+    """
+    matt = (largest(reflected) <= NEGLIGIBLE) & ~noisy.any(axis=2)
+    if not matt.any():
+        return light
+    around = partial(uniform_filter, size=(AROUND, AROUND, 1), mode="constant")
+    kept = np.where(matt[..., None], np.float32(0), light)
+    taken = light - kept
+    others = around(kept)
+    near = others > 1e-6 * light.mean()
+    share = around(np.divide(taken, others, out=np.zeros_like(light), where=near))
+    return kept * (1 + share) + np.where(near, np.float32(0), taken)
 
 
 def _around(marked: np.ndarray) -> tuple[slice, slice]:

@@ -192,6 +192,21 @@ def test_glossy_light_is_not_smeared_onto_what_is_matt():
     assert light.mean() == pytest.approx(1, rel=1e-4)
 
 
+@pytest.mark.parametrize("sharp", [False, True])
+def test_direct_light_is_not_smeared_onto_lamps(sharp):
+    """Bulbs of a pixel before a wall."""
+    one, zero = np.ones((40, 60, 3), np.float32), np.zeros((40, 60, 3), np.float32)
+    wall = one.copy()
+    wall[2::5, 2::5] = 0
+    parts = dict(sharp=wall, unshadowed=wall, doubt=wall) if sharp else {}
+    picture = Picture(2 * wall, zero, zero, wall, one - wall, one, wall, one, wall, zero, zero[..., 0], glossy_albedo=zero, **parts)
+    found = picture.denoised(Blurring(), 1)
+    assert not found.direct[wall == 0].any()
+    np.testing.assert_allclose(found.direct[4:-4, 4:-4][wall[4:-4, 4:-4] > 0], 2, rtol=0.1)
+    assert found.direct.mean() == pytest.approx(2 * wall.mean(), rel=1e-4)
+    assert not sharp or not found.sharp[wall == 0].any()
+
+
 def mirrored(rows, columns):
     """A picture in which rays from lobes met an albedo of 1/2 in a mirror of so many pixels, where it has none itself."""
     one, zero = np.ones((100, 100, 3), np.float32), np.zeros((100, 100, 3), np.float32)
