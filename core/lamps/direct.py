@@ -4,9 +4,9 @@ Emitters near the scene are few and are then sampled one by one ("groups"), or m
 is one group.  A point's samples are dealt to the groups by what each could send there unshadowed, at least one to
 each that can send anything; where there are fewer samples than groups, the groups are drawn at random.
 
-Half of the rays to the world are aimed at where the other half of the neighbours' rays have found it (`world_guide`); where gather rays of
-indirect light have been traced before, these tell as well, and count themselves for what they find of it, and of
-surfaces that shine.  Which lamps of the tree are seen at all, a few rays ahead of the others tell (`seen`).  Shadow rays leave from
+Half of the rays to the world are aimed at where the other half of the neighbours' rays have found it (`world_guide`), and so are those to large lamps
+(`lamp_guide`).  Where gather rays of indirect light have been traced before, these tell of the world as well, and count themselves for what they find of it,
+and of surfaces that shine.  Which lamps of the tree are seen at all, a few rays ahead of the others tell (`seen`).  Shadow rays leave from
 all places where a pixel shows the surface, so that edges of shadows within it are smooth.
 
 The same rays carry the light that glossy lobes reflect, which they share with rays drawn from the lobes (see
@@ -39,6 +39,16 @@ from ..surfaces.visibility import BY_LENS, OUTSIDE, nearest_surface, transmittan
 from ..threads import Progress, run_chunks
 from .departures import REFLECTS, VARIED, differs, is_patterned, on_one_facet, place_for_world, place_of, position_at, surface_at
 from .escapes import ESCAPED, SHINING, VEIL, VEILED, GatherRays, gather_path, gather_ray, no_gather_rays
+from .lamp_guide import (
+    aim_at_lamp,
+    cell_on_lamp,
+    draw_on_lamp,
+    forget_lamps,
+    keep_lamps_in_mind,
+    look_around_lamps,
+    new_lamp_guide,
+    remember_lamp,
+)
 from .links import is_hidden_alike, lights
 from .lookup import BOTH, EACH, can_be_met, emitter_density, emitter_of, ray_kind, share_of, sought
 from .sample import sample_emitter
@@ -396,6 +406,7 @@ class _Block(NamedTuple):
     number: (B, G) float32, samples of each group on average.  unshadowed: (B, G) float32, `group_estimate` of the tree, as `aimed_density` takes it.
     patterned: (B, G) float32, mean of `ShadingPoints.varied` over the albedos at the places that a group's samples leave from.
     turned: (LOBE,) float32, scratch: the lobe about the normal of one place.
+    lead: (B, G) int32, how many samples of a group come first, where the others are aimed at what neighbours have seen of a lamp.
     """
 
     estimate: np.ndarray
@@ -412,6 +423,7 @@ class _Block(NamedTuple):
     unshadowed: np.ndarray
     patterned: np.ndarray
     turned: np.ndarray
+    lead: np.ndarray
 
 
 class _Rays(NamedTuple):
@@ -419,9 +431,10 @@ class _Rays(NamedTuple):
 
     ray: (R, 7) float32, origin, direction, end of the range; the end is below 0 where nothing may stand in the way.
     light, glossy: (R, 3) float32, what they bring if nothing does.
-    point, column: (R,) int32, of the block and of the output.  turn: (R,) int32, number among the first samples of the world, gather rays after the others; -1 for the rest.
+    point, column: (R,) int32, of the block and of the output.  turn: (R,) int32, number among the first samples of the world, gather rays after the others, or of a lamp with a slot; -1 for the rest.
     kinds: (R,) int64, kinds of what may stand in the way.  kind: (R,) int64, what it is to materials, see `ray_kind`.  lamp: (R,) bool, whether it goes to a lamp, not to the world.
     through: (R, 3) float32, the part that gets through.  clear: (R,) float32, the part of that which passed no glass.
+    slot: (R,) int32, of the lamp in `LampGuide`, -1 for none.  cell: (R,) int32, sent: (R,) float32, its `cell_on_lamp` and light, of those with a slot.
     """
 
     ray: np.ndarray
@@ -435,6 +448,9 @@ class _Rays(NamedTuple):
     lamp: np.ndarray
     through: np.ndarray
     clear: np.ndarray
+    slot: np.ndarray
+    cell: np.ndarray
+    sent: np.ndarray
 
 
 @kernel
@@ -445,6 +461,7 @@ def _new_block(points, groups):
         np.empty((points, CUT), i), np.empty((points, CUT), f), np.empty(points, np.int64),
         np.full((points, LOBE), -_1), np.zeros(points, np.int64), np.zeros((points, groups), f),
         np.zeros((points, groups), f), np.zeros((points, groups), f), np.zeros((points, groups), f), np.empty(LOBE, f),
+        np.zeros((points, groups), i),
     )  # fmt: skip
 
 
@@ -453,12 +470,12 @@ def _new_rays(n):
     f, i = np.float32, np.int32
     return _Rays(
         np.empty((n, 7), f), np.empty((n, 3), f), np.zeros((n, 3), f), np.empty(n, i), np.empty(n, i), np.empty(n, i), np.empty(n, np.int64),
-        np.empty(n, np.int64), np.zeros(n, np.bool_), np.empty((n, 3), f), np.empty(n, f),
+        np.empty(n, np.int64), np.zeros(n, np.bool_), np.empty((n, 3), f), np.empty(n, f), np.empty(n, i), np.empty(n, i), np.empty(n, f),
     )  # fmt: skip
 
 
 @leaf
-def _prepare(scene, nodes, points, i, k, samples, reflections, seed, first, spare, block):
+def _prepare(scene, nodes, points, i, k, samples, reflections, seed, first, spare, slot, block):
     """Row k of `block` for point i; nodes: of the tree, by which its lamps are chosen."""
     emitters = scene.emitters
     tree = emitters.tree
@@ -505,9 +522,10 @@ def _prepare(scene, nodes, points, i, k, samples, reflections, seed, first, spar
                 block.unshadowed[k, g] = group_estimate(emitters, g, px, py, pz, _0, sx, sy, sz)
     block.first[k] = 0
     for g in range(len(emitters.groups)):
+        n = block.count[k, g]
+        by_chance = abs(np.float32(n) * block.weight[k, g] - _1) > np.float32(1e-3)  # where samples are scarce
+        block.lead[k, g] = n if by_chance or slot[g] < 0 else (n + 1) // 2
         if _is_world(emitters, g):
-            n = block.count[k, g]
-            by_chance = abs(np.float32(n) * block.weight[k, g] - _1) > np.float32(1e-3)  # where samples are scarce
             if by_chance or n < 1 or faces_portals(emitters.world, px, py, pz, sx, sy, sz):
                 block.first[k] = n
             elif points.gathered[i] > 0:
@@ -636,12 +654,13 @@ def _put(scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, g, b, w, 
     rays.point[n], rays.column[n], rays.turn[n], rays.kinds[n] = k, 3 * emitters.light_group[e], turn, emitters.shadow_kinds[e]
     rays.kind[n] = ray_kind(emitters, e, dx, dy, dz)
     rays.lamp[n] = emitters.kind[e] != WORLD
+    rays.slot[n] = -1
     return n + 1
 
 
 @leaf
-def _aim(scene, nodes, points, start, size, block, seed, first, rows, surface, rays):
-    """Shadow rays of the `size` points from `start` on, but for the world's later ones -> how many; nodes: as for `_prepare`."""
+def _aim(scene, nodes, points, start, size, block, slot, seed, first, rows, surface, rays):
+    """Shadow rays of the `size` points from `start` on, but for the later ones of the world and of lamps with a `slot` -> how many; nodes: as for `_prepare`."""
     emitters = scene.emitters
     tree = emitters.tree
     n = np.int64(0)  # no literal, for which the callee would be compiled again
@@ -650,10 +669,10 @@ def _aim(scene, nodes, points, start, size, block, seed, first, rows, surface, r
         world = _is_world(emitters, g)
         most = 0
         for k in range(size):
-            most = max(most, block.first[k] if world else block.count[k, g])
+            most = max(most, block.first[k] if world else block.lead[k, g])
         for sample in range(most):
             for k in range(size):
-                if sample >= (block.first[k] if world else block.count[k, g]):
+                if sample >= (block.first[k] if world else block.lead[k, g]):
                     continue
                 i = start + k
                 scramble = hash_combine(hash_combine(seed, i), g)
@@ -678,16 +697,20 @@ def _aim(scene, nodes, points, start, size, block, seed, first, rows, surface, r
                     w *= rarity
                 u1, u2 = sobol(index, 0, scramble), sobol(index, 1, scramble)
                 dx, dy, dz, t, r, gr, b, u, v = sample_emitter(emitters, e, px, py, pz, sx, sy, sz, u1, u2, rows, surface)
+                guided = slot[g] >= 0
+                before = n
                 n = _put(
-                    scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, gr, b, part * w, w, sample if world else -1, rays, n
+                    scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, gr, b, part * w, w, sample if world or guided else -1, rays, n
                 )  # fmt: skip
+                if guided and n > before:
+                    rays.slot[before], rays.cell[before], rays.sent[before] = slot[g], cell_on_lamp(u1, u2), r + gr + b
         if world:
             n = _add_gathered(scene, points, start, size, block, g, rays, n)
     return n
 
 
 @leaf
-def _pilot(scene, packet, rows, surface, points, begin, end, samples, seed, spare, block, rays, nodes, lamp, known):
+def _pilot(scene, packet, rows, surface, points, begin, end, samples, seed, spare, slot, block, rays, nodes, lamp, known):
     """Rays of some of the points begin..end-1 to lamps of the tree, which bring no light but tell `nodes`, a copy of the tree's, who is seen -> how many.
 
     lamp: (_PILOTS,) int64, scratch.  known: (3, K) float32, what `learn` takes; rays are added to its first two rows.
@@ -702,7 +725,7 @@ def _pilot(scene, packet, rows, surface, points, begin, end, samples, seed, spar
     last = end - _PILOT_STEP + 1
     for at in range(begin, last, _PILOT_STEP):
         i = at + np.int64(hash_combine(seed, at) % np.uint32(_PILOT_STEP))
-        _prepare(scene, nodes, points, i, 0, samples, 0, seed, np.int64(0), spare, block)
+        _prepare(scene, nodes, points, i, 0, samples, 0, seed, np.int64(0), spare, slot, block)
         px, py, pz = points.position[i, 0], points.position[i, 1], points.position[i, 2]
         sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
         key = hash_combine(seed, i)
@@ -756,10 +779,9 @@ def _add_gathered(scene, points, start, size, block, g, rays, n):
 
 
 @leaf
-def _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, surface, rays):
-    """The world's later rays of these points, aimed at where neighbours have found it -> how many; the shares of the first ones are set."""
+def _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, surface, rays, n):
+    """The world's later rays of these points, aimed at where neighbours have found it, after n others -> how many there are then; the shares of the first ones are set."""
     emitters = scene.emitters
-    n = np.int64(0)
     for g in range(len(emitters.groups)):
         if not _is_world(emitters, g):
             continue
@@ -802,6 +824,57 @@ def _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, s
                     scene, points, block, i, k, e, place, dx, dy, dz, np.float32(np.inf), _0, _0, r, gr, b, w, shine, -1, rays, n
                 )  # fmt: skip
     return n
+
+
+@leaf
+def _aim_at_lamps(scene, points, start, size, block, guide, seed, first, rows, surface, rays):
+    """Later rays of these points to lamps with a slot, aimed at what neighbours have seen of them -> how many; the shares of the first ones are set."""
+    emitters = scene.emitters
+    n = np.int64(0)
+    for g in range(len(emitters.groups)):
+        slot = guide.slot[g]
+        if slot < 0:
+            continue
+        e = emitters.groups[g]
+        for k in range(size):
+            i = start + k
+            before = np.int64(block.lead[k, g])
+            later = block.count[k, g] - before
+            if later < 1:
+                continue
+            guided = aim_at_lamp(guide, slot, k, before, later)
+            scramble = hash_combine(hash_combine(seed, i), g)
+            aimed = hash_combine(scramble, _GUIDED)
+            for s in range(later):
+                index = first * _samples_a_pass(block.weight[k, g]) + before + s
+                place = place_of(points, i, index, scramble)
+                px, py, pz = position_at(points, i, place)
+                sx, sy, sz = points.ns[i, 0], points.ns[i, 1], points.ns[i, 2]
+                part = _1
+                if points.varied.shape[1] > 0:
+                    sx, sy, sz, _, _, _, _ = surface_at(points, i, place)
+                    part = _pattern_weight(points, i, place, block.patterned[k, g], block.count[k, g])
+                w = block.weight[k, g]
+                if guided:  # by a sequence of their own
+                    u1, u2 = sobol(first * later + s, 0, aimed), sobol(first * later + s, 1, aimed)
+                    u1, u2, density = draw_on_lamp(guide, u1, u2)
+                    w = _1 / (np.float32(before) + np.float32(later) * density)
+                else:
+                    u1, u2 = sobol(index, 0, scramble), sobol(index, 1, scramble)
+                dx, dy, dz, t, r, gr, b, u, v = sample_emitter(emitters, e, px, py, pz, sx, sy, sz, u1, u2, rows, surface)
+                n = _put(scene, points, block, i, k, e, place, dx, dy, dz, t, u, v, r, gr, b, part * w, w, -1, rays, n)
+    return n
+
+
+@leaf
+def _learn_lamps(size, rays, n, guide):
+    """What the first n rays of `size` points tell of lamps with a slot."""
+    forget_lamps(guide)
+    for j in range(n):
+        if rays.slot[j] >= 0:
+            through = (rays.through[j, 0] + rays.through[j, 1] + rays.through[j, 2]) * _THIRD
+            remember_lamp(guide, rays.slot[j], rays.point[j], rays.turn[j], rays.cell[j], rays.sent[j], through)
+    look_around_lamps(guide, size)
 
 
 @inlined
@@ -919,7 +992,7 @@ def _learn(scene, points, start, size, block, rays, n, guide):
                 expect(guide, k, block.estimate[k, g])
     for j in range(n):
         turn = rays.turn[j]
-        if turn < 0 or not max(rays.through[j, 0], rays.through[j, 1], rays.through[j, 2]) > _0:
+        if turn < 0 or rays.slot[j] >= 0 or not max(rays.through[j, 0], rays.through[j, 1], rays.through[j, 2]) > _0:
             continue
         i, k = start + rays.point[j], rays.point[j]
         dx, dy, dz = rays.ray[j, 3], rays.ray[j, 4], rays.ray[j, 5]
@@ -934,7 +1007,7 @@ def _learn(scene, points, start, size, block, rays, n, guide):
 
 
 @leaf
-def _collect(points, rays, n, start, guide, out, glossy, apart, unshadowed):
+def _collect(points, rays, n, start, guide, lamps, out, glossy, apart, unshadowed):
     """Add what the first n rays bring to the points from `start` on; what passed glass goes to the second half.
 
     unshadowed: (N, 4) float32, what those to columns from `apart` on would bring were nothing in their way, and how many they are; of no rows where nobody asks.
@@ -947,7 +1020,9 @@ def _collect(points, rays, n, start, guide, out, glossy, apart, unshadowed):
                 unshadowed[i, channel] += rays.light[j, channel]
             unshadowed[i, 3] += _1
         share = shine_share = _1
-        if rays.turn[j] >= 0:
+        if rays.slot[j] >= 0:
+            share = shine_share = lamps.share[rays.slot[j], rays.point[j], rays.turn[j]]
+        elif rays.turn[j] >= 0:
             share, shine_share = guide.share[rays.point[j], rays.turn[j]], guide.shine[rays.point[j], rays.turn[j]]
         clear = rays.clear[j]
         if clear < _0:  # `BY_FROST`, of which diffuse surfaces and wide lobes have what photons bring: `methods.caustics`
@@ -1001,15 +1076,16 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
     rays, later = _new_rays(block_size * (samples + gather)), _new_rays(block_size * samples)
     block = _new_block(block_size, groups)
     guide = new_world_guide(block_size, samples + gather)
+    lamps = new_lamp_guide(scene.emitters, block_size, samples)
     ahead = begin + block_size
     if _looks_ahead(scene, points, begin, ahead, min(ahead + block_size, end)):
         size = min(block_size, end - ahead)
         for k in range(size):
-            _prepare(scene, scene.emitters.tree.nodes, points, ahead + k, k, samples, reflections, seed, first, spare, block)
+            _prepare(scene, scene.emitters.tree.nodes, points, ahead + k, k, samples, reflections, seed, first, spare, lamps.slot, block)
             for g in range(groups):
                 if not _is_world(scene.emitters, g):
-                    block.count[k, g] = 0
-        n = _aim(scene, scene.emitters.tree.nodes, points, ahead, size, block, seed, first, rows, surface, rays)
+                    block.count[k, g] = block.lead[k, g] = 0
+        n = _aim(scene, scene.emitters.tree.nodes, points, ahead, size, block, lamps.slot, seed, first, rows, surface, rays)
         ahead_rays = _trace(scene, packet, rows, surface, points, ahead, rays, n)
         _learn(scene, points, ahead, size, block, rays, n, guide)
         keep_in_mind(guide, size)
@@ -1035,25 +1111,31 @@ def _direct_chunk(scene, points, begin, end, samples, reflections, seed, first, 
             nodes[:] = tree.nodes
             known *= _FORGOTTEN
             n_rays += _pilot(
-                scene, packet, rows, surface, points, start, start + size, samples, seed, spare, block, rays, nodes, lamp, known
+                scene, packet, rows, surface, points, start, start + size, samples, seed, spare, lamps.slot, block, rays, nodes, lamp, known
             )
         guided = False
         for k in range(size):
-            _prepare(scene, nodes, points, start + k, k, samples, reflections, seed, first, spare, block)
+            _prepare(scene, nodes, points, start + k, k, samples, reflections, seed, first, spare, lamps.slot, block)
             guided = guided or block.first[k] > 0 or points.gathered[start + k] > 0
-        n = _aim(scene, nodes, points, start, size, block, seed, first, rows, surface, rays)
+        n = _aim(scene, nodes, points, start, size, block, lamps.slot, seed, first, rows, surface, rays)
         n_rays += _trace(scene, packet, rows, surface, points, start, rays, n)
         n_later = np.int64(0)
+        if len(lamps.seen) > 0:
+            _learn_lamps(size, rays, n, lamps)
+            n_later = _aim_at_lamps(scene, points, start, size, block, lamps, seed, first, rows, surface, later)
+            if start == begin:
+                lamps.before[:] = _0
+            keep_lamps_in_mind(lamps, size)
         if guided:
             _learn(scene, points, start, size, block, rays, n, guide)
-            n_later = _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, surface, later)
+            n_later = _aim_at_world(scene, points, start, size, block, guide, seed, first, rows, surface, later, n_later)
             if start == begin:  # it counts for itself
                 guide.before[:] = _0
             keep_in_mind(guide, size)
         # Not before the later ones are aimed, which tell what share the first have.
-        _collect(points, rays, n, start, guide, out, glossy, apart, unshadowed)
+        _collect(points, rays, n, start, guide, lamps, out, glossy, apart, unshadowed)
         n_rays += _trace(scene, packet, rows, surface, points, start, later, n_later)
-        _collect(points, later, n_later, start, guide, out, glossy, apart, unshadowed)
+        _collect(points, later, n_later, start, guide, lamps, out, glossy, apart, unshadowed)
         if len(scene.emitters.triangle) > 0:
             _add_shining(scene, packet, rows, surface, points, start, size, block, out)
     return n_rays

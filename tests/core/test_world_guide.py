@@ -20,17 +20,21 @@ HALF = 0.25  # of the window's edge
 HEIGHT = 1.0
 
 
-def window(x=0.6, half=HALF, wide=40.0):
-    """A floor under a wide roof with a square window at (x, 0, HEIGHT)."""
+def roof(x=0.6, half=HALF, wide=40.0):
+    """Quads of a wide roof with a square window at (x, 0, HEIGHT)."""
     low, high = -half, half
     z = HEIGHT
-    panels = [
+    return [
         [(-wide, -wide, z), (x + low, -wide, z), (x + low, wide, z), (-wide, wide, z)],
         [(x + high, -wide, z), (wide, -wide, z), (wide, wide, z), (x + high, wide, z)],
         [(x + low, -wide, z), (x + high, -wide, z), (x + high, low, z), (x + low, low, z)],
         [(x + low, high, z), (x + high, high, z), (x + high, wide, z), (x + low, wide, z)],
     ]
-    return lit(world=1.0, quad=(RECEIVER, *panels))
+
+
+def window(x=0.6, half=HALF, wide=40.0):
+    """A floor under a `roof` with a window, through which it sees an even sky."""
+    return lit(world=1.0, quad=(RECEIVER, *roof(x, half, wide)))
 
 
 def points_around(n, radius=0.02, seed=0):
