@@ -81,7 +81,7 @@ METHOD_CHOICES = (
 )
 
 
-LEAST_DIRECT = 0.25  # part of the direct rays that the quickest picture takes
+LEAST_DIRECT = 0.125  # part of the direct rays that the quickest picture takes
 
 
 @dataclass
@@ -281,7 +281,10 @@ class RenderSettings:
                 numbers = QUALITIES["medium"]  # passes are planned in units of the usual numbers
         sampled = method in ("importance-sampling", "fuzzy-clustering")
         denoise = sampled if self.denoise is None else self.denoise
-        choice = {"direct_samples": (8, 16), "reflections": (6 if method == "importance-sampling" else 2, 8)}
+        choice = {
+            "direct_samples": (16 if method == "importance-sampling" else 8, 16),
+            "reflections": (6 if method == "importance-sampling" else 2, 8),
+        }
         open_ = {name: few if sampled else many for name, (few, many) in choice.items() if getattr(self, name) is None}
         return replace(self, method=method, denoise=denoise, target_error=goal, **numbers, **open_)
 

@@ -224,8 +224,8 @@ def test_without_denoising_more_pixels_are_as_noisy_as_few():
 def test_quick_passes_keep_more_of_their_lights_than_of_their_rays():
     usual = RenderSettings().with_defaults()
     quick, many = usual.scaled(0.25, 1), usual.scaled(4.0, 1)
-    assert (quick.samples, quick.gather, quick.direct_samples, quick.reflections, quick.vpls) == (3, 3, 3, 3, 2048)
-    assert (many.samples, many.gather, many.direct_samples, many.reflections, many.vpls) == (32, 32, 32, 24, 8192)
+    assert (quick.samples, quick.gather, quick.direct_samples, quick.reflections, quick.vpls) == (3, 3, 6, 3, 2048)
+    assert (many.samples, many.gather, many.direct_samples, many.reflections, many.vpls) == (32, 32, 64, 24, 8192)
     # Of a method that sends rays to each of them the lights are what takes time.
     radiosity = RenderSettings(method="instant-radiosity").with_defaults()
     assert (radiosity.scaled(0.25, 1).vpls, radiosity.scaled(4.0, 1).vpls) == (1448, 8192)
