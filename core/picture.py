@@ -256,7 +256,8 @@ class Picture:
 
     def _off_lamps(self, light: np.ndarray) -> np.ndarray:
         """Denoised direct light without what lies on pixels that reflect none: on bulbs right before a wall, whose light there is thousands of times what is left of it elsewhere, and on the sky."""
-        return light if self.glossy_albedo is None else _taken_off(light, self.direct, np.maximum(self.albedo, self.glossy_albedo))
+        reflected = self.albedo if self.glossy_albedo is None else np.maximum(self.albedo, self.glossy_albedo)
+        return _taken_off(light, self.direct, reflected)
 
     def _mirrored_guide(self, denoiser: Denoiser, threads: int, quality: str | None) -> tuple[np.ndarray, bool]:
         """The albedo with what narrow lobes show, of which few rays have told, and whether it is free of noise."""
