@@ -144,7 +144,7 @@ def aim_at_lamp(guide, lamp, k, first, later):
             cdf[guide.cell[lamp, k, s]] -= guide.light[lamp, k, s]
             total -= guide.light[lamp, k, s]
             finds -= _1
-    if not (later > 0 and sent > _0 and total <= _OPEN * sent):
+    if not (later > 0 and _0 < sent < np.float32(np.inf) and total <= _OPEN * sent):
         return False
     own, others = _1, _0
     if guide.before[lamp, FINDS] > _0:

@@ -79,3 +79,12 @@ def test_cells_cover_the_square_evenly():
     cells = [cell_on_lamp(a, b) for a in u for b in u]
     np.testing.assert_array_equal(np.bincount(cells, minlength=CELLS), 64 * 64 // CELLS)
     assert cell_on_lamp(np.float32(1), np.float32(1)) == CELLS - 1
+
+
+def test_light_whose_sum_is_no_number_is_not_aimed():
+    light, points = behind_a_window("area"), points_around(4096)
+    expected, _ = direct_irradiance(light.tables, points, 8, 1)
+    light.emitters.radiance[:] *= np.float32(1e36)
+    found, _ = direct_irradiance(light.tables, points, 8, 1)
+    assert np.isfinite(found).all()
+    assert found[:, 0].mean(dtype=float) == pytest.approx(1e36 * float(expected[:, 0].mean()), rel=0.1)
