@@ -183,7 +183,9 @@ def test_shadows():
     below = [[0, 0, 0], [3.9, 0, 0]]
     for rows in ([lamp(sc.POINT, 10, (0, 0, 3))], [lamp(sc.SUN, 3, angle=0.05)], [lamp(sc.AREA, 3, (0, 0, 3))]):
         open_plane, blocked = lit(*rows)(below), lit(*rows, quad=(RECEIVER, blocker))(below)
-        assert not blocked[0].any() and np.array_equal(blocked[1], open_plane[1])
+        assert not blocked[0].any() and np.allclose(
+            blocked[1], open_plane[1], rtol=1e-4, atol=0
+        )  # neighbours in the shadow have a say in where rays go
         rows[0]["cast_shadow"] = 0
         assert np.allclose(lit(*rows, quad=(RECEIVER, blocker))(below), open_plane, rtol=1e-5)
 
