@@ -81,7 +81,7 @@ METHOD_CHOICES = (
 )
 
 
-LEAST_DIRECT = 0.125  # part of the direct rays that the quickest picture takes
+LEAST_DIRECT = 2  # direct rays of a point that the quickest picture takes
 
 
 @dataclass
@@ -307,8 +307,9 @@ class RenderSettings:
         # What few lights there are all points have in common: no denoiser sees that noise.  More of them cost other methods rays.
         lights = quality ** (0.5 if quality > 1 or self.method == "importance-sampling" else 0.75)
         # Lamps that no ray is aimed at are noise that no network takes for light; two rays cost next to nothing beside the view.
-        parts = dict.fromkeys(("samples", "gather"), rays) | {"direct_samples": max(rays, LEAST_DIRECT), "reflections": reflected}
+        parts = dict.fromkeys(("samples", "gather", "direct_samples"), rays) | {"reflections": reflected}
         fewer = {name: max(1, round(part * n)) for name, part in parts.items() if (n := getattr(self, name)) > 0}
+        fewer["direct_samples"] = max(fewer["direct_samples"], min(LEAST_DIRECT, self.direct_samples))
         # Primary samples are cheap, and no denoiser mends an edge that few of them have drawn.
         pixel_samples = max(1, round(quality**0.25 * self.pixel_samples))
         vpls = max(min(self.vpls, 256), round(lights * self.vpls))

@@ -226,6 +226,8 @@ def test_quick_passes_keep_more_of_their_lights_than_of_their_rays():
     quick, many = usual.scaled(0.25, 1), usual.scaled(4.0, 1)
     assert (quick.samples, quick.gather, quick.direct_samples, quick.reflections, quick.vpls) == (3, 3, 6, 3, 2048)
     assert (many.samples, many.gather, many.direct_samples, many.reflections, many.vpls) == (32, 32, 64, 24, 8192)
+    quickest = [replace(usual, direct_samples=n).scaled(0.02, 1).direct_samples for n in (1, 8, 16)]
+    assert quickest == [1, 2, 2]
     # Of a method that sends rays to each of them the lights are what takes time.
     radiosity = RenderSettings(method="instant-radiosity").with_defaults()
     assert (radiosity.scaled(0.25, 1).vpls, radiosity.scaled(4.0, 1).vpls) == (1448, 8192)
