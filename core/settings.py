@@ -309,7 +309,8 @@ class RenderSettings:
         # Lamps that no ray is aimed at are noise that no network takes for light; two rays cost next to nothing beside the view.
         parts = dict.fromkeys(("samples", "gather", "direct_samples"), rays) | {"reflections": reflected}
         fewer = {name: max(1, round(part * n)) for name, part in parts.items() if (n := getattr(self, name)) > 0}
-        fewer["direct_samples"] = max(fewer["direct_samples"], min(LEAST_DIRECT, self.direct_samples))
+        if "direct_samples" in fewer:
+            fewer["direct_samples"] = max(fewer["direct_samples"], min(LEAST_DIRECT, self.direct_samples))
         # Primary samples are cheap, and no denoiser mends an edge that few of them have drawn.
         pixel_samples = max(1, round(quality**0.25 * self.pixel_samples))
         vpls = max(min(self.vpls, 256), round(lights * self.vpls))
