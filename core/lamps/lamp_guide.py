@@ -16,17 +16,13 @@ import numpy as np
 from ..jit import inlined, kernel, leaf
 from ..scene import AREA, POINT, SPOT, SUN
 from .tables import RADIUS, SHARP, TRIANGLE
-from .world_guide import NEAR
+from .world_guide import MOST_FINDS, NEAR, NOTHING, REACH, TOLD, find_cell
 
 MOST = 8  # lamps of a block that are guided
 _SIDE = 8
 CELLS = _SIDE * _SIDE  # of the square of the two random numbers
 SENT, FINDS = CELLS, CELLS + 1  # columns after the cells
-_REACH = 4  # rows to either side that count as neighbours
-_TOLD = np.float32(32.0)  # so many finds of the neighbours count as much as what has been found before
-_MOST_FINDS = np.float32(8.0)  # of a row, that count for others
 _OPEN = np.float32(0.3)  # where more of a lamp than this is seen, next to nothing is gained
-_NOTHING = np.float32(1e-5)  # less than this is the rounding error of taking a point's own light out
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
 
@@ -110,7 +106,7 @@ def look_around_lamps(guide, points):
     for lamp in range(len(guide.seen)):
         for row in range(rows):
             guide.around[lamp, row, :] = _0
-            for other in range(max(0, row - _REACH), min(row + _REACH + 1, rows)):
+            for other in range(max(0, row - REACH), min(row + REACH + 1, rows)):
                 for column in range(CELLS + 2):
                     guide.around[lamp, row, column] += guide.seen[lamp, other, column]
 
@@ -120,7 +116,7 @@ def keep_lamps_in_mind(guide, points):
     """After the last use of the first so many points: what they have seen is what went before others, the finds of each row as those of a few."""
     for lamp in range(len(guide.seen)):
         for row in range((points + NEAR - 1) // NEAR):
-            part = min(_1, _MOST_FINDS / max(guide.seen[lamp, row, FINDS], _1))
+            part = min(_1, MOST_FINDS / max(guide.seen[lamp, row, FINDS], _1))
             for column in range(CELLS + 2):
                 guide.before[lamp, column] += part * guide.seen[lamp, row, column]
 
@@ -148,13 +144,13 @@ def aim_at_lamp(guide, lamp, k, first, later):
         return False
     own, others = _1, _0
     if guide.before[lamp, FINDS] > _0:
-        own = finds / (finds + _TOLD)
+        own = finds / (finds + TOLD)
         others = (_1 - own) * sent / guide.before[lamp, SENT]
     total = _0
     for cell in range(CELLS):
         total += own * max(_0, cdf[cell]) + others * guide.before[lamp, cell]
         cdf[cell] = total
-    if not (total > _0 and total >= _NOTHING * sent and total <= _OPEN * sent):
+    if not (total > _0 and total >= NOTHING * sent and total <= _OPEN * sent):
         return False
     for s in range(first):
         if guide.cell[lamp, k, s] >= 0:
@@ -172,17 +168,7 @@ def _density(cdf, cell):
 @inlined
 def draw_on_lamp(guide, u1, u2):
     """Two random numbers for the point that `aim_at_lamp` was called for, and their density."""
-    cdf = guide.cdf
-    target = u1 * cdf[CELLS - 1]
-    low, high = 0, CELLS - 1
-    while low < high:
-        middle = (low + high) // 2
-        if cdf[middle] > target:
-            high = middle
-        else:
-            low = middle + 1
-    below = cdf[low - 1] if low > 0 else _0
-    # 1 itself is no such number.
-    inside = min((target - below) / max(cdf[low] - below, np.float32(1e-30)), np.float32(0.999999))
+    cell, inside = find_cell(guide.cdf, u1)
+    inside = min(inside, np.float32(0.999999))  # 1 itself is no such number
     side = np.float32(1 / _SIDE)
-    return side * (np.float32(low // _SIDE) + inside), side * (np.float32(low % _SIDE) + u2), _density(cdf, low)
+    return side * (np.float32(cell // _SIDE) + inside), side * (np.float32(cell % _SIDE) + u2), _density(guide.cdf, cell)

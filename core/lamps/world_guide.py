@@ -19,15 +19,15 @@ import numpy as np
 from ..jit import inlined, kernel, leaf
 
 NEAR = 64  # points that follow each other and share what they see of the world
-_REACH = 4  # of these rows, how many to either side count as neighbours
+REACH = 4  # of these rows, how many to either side count as neighbours
 _ROWS, _COLUMNS = 8, 16
 CELLS = _ROWS * _COLUMNS  # of the sphere of directions, all of one size
 LOW = np.float32(0.1)  # cosines below it count as this: a cell is seen under many
 SENT, FINDS = CELLS, CELLS + 1  # columns after the cells
-_TOLD = np.float32(32.0)  # so many finds of the neighbours count as much as what has been found before
-_MOST_FINDS = np.float32(8.0)  # of a row, that count for others
+TOLD = np.float32(32.0)  # so many finds of the neighbours count as much as what has been found before
+MOST_FINDS = np.float32(8.0)  # of a row, that count for others
 _OPEN = np.float32(0.5)  # where more of the world than this is open, nothing is gained
-_NOTHING = np.float32(1e-5)  # less than this is the rounding error of taking a point's own light out
+NOTHING = np.float32(1e-5)  # less than this is the rounding error of taking a point's own light out
 _PER_AREA = np.float32(CELLS / (4 * math.pi))
 _0 = np.float32(0.0)
 _1 = np.float32(1.0)
@@ -145,7 +145,7 @@ def look_around(guide, points):
     rows = (points + NEAR - 1) // NEAR
     for row in range(rows):
         guide.around[row, :] = _0
-        for other in range(max(0, row - _REACH), min(row + _REACH + 1, rows)):
+        for other in range(max(0, row - REACH), min(row + REACH + 1, rows)):
             for column in range(CELLS + 2):
                 guide.around[row, column] += guide.seen[other, column]
 
@@ -157,7 +157,7 @@ def keep_in_mind(guide, points):
     Rows in and at a window see most of it, but in other directions than those that know too little of it: what many finds tell counts as that of a few.
     """
     for row in range((points + NEAR - 1) // NEAR):
-        part = min(_1, _MOST_FINDS / max(guide.seen[row, FINDS], _1))
+        part = min(_1, MOST_FINDS / max(guide.seen[row, FINDS], _1))
         for column in range(CELLS + 2):
             guide.before[column] += part * guide.seen[row, column]
 
@@ -181,7 +181,7 @@ def aim(guide, k, sx, sy, sz, first, later, number, gathered):
     sent = guide.around[row, SENT] - guide.sent[k]
     own, others = _1, _0
     if guide.before[FINDS] > _0:
-        own = finds / (finds + _TOLD)
+        own = finds / (finds + TOLD)
         others = (_1 - own) * sent / guide.before[SENT]
     total = found = _0
     for cell in range(CELLS):
@@ -190,7 +190,7 @@ def aim(guide, k, sx, sy, sz, first, later, number, gathered):
         cosine = sx * _MIDDLES[0, cell] + sy * _MIDDLES[1, cell] + sz * _MIDDLES[2, cell]
         total += light * max(cosine, LOW)
         cdf[cell] = total
-    guided = later > 0 and total > _0 and found >= _NOTHING * sent and found <= _OPEN * sent
+    guided = later > 0 and total > _0 and found >= NOTHING * sent and found <= _OPEN * sent
     for s in range(first + gathered):
         if guide.cell[k, s] < 0:
             continue
@@ -210,11 +210,11 @@ def _density(cdf, cell):
 
 
 @inlined
-def draw(guide, u, v):
-    """Direction and density (per sr) for the point that `aim` was called for."""
-    cdf = guide.cdf
-    target = u * cdf[CELLS - 1]
-    low, high = 0, CELLS - 1
+def find_cell(cdf, u):
+    """The cell that u falls into by unnormalised sums (CELLS,) of the cells' shares, and where in it, 0 to 1."""
+    last = len(cdf) - 1
+    target = u * cdf[last]
+    low, high = 0, last
     while low < high:
         middle = (low + high) // 2
         if cdf[middle] > target:
@@ -222,5 +222,12 @@ def draw(guide, u, v):
         else:
             low = middle + 1
     below = cdf[low - 1] if low > 0 else _0
-    dx, dy, dz = in_cell(low, min((target - below) / max(cdf[low] - below, np.float32(1e-30)), _1), v)
-    return dx, dy, dz, _density(cdf, low)
+    return low, min((target - below) / max(cdf[low] - below, np.float32(1e-30)), _1)
+
+
+@inlined
+def draw(guide, u, v):
+    """Direction and density (per sr) for the point that `aim` was called for."""
+    cell, inside = find_cell(guide.cdf, u)
+    dx, dy, dz = in_cell(cell, inside, v)
+    return dx, dy, dz, _density(guide.cdf, cell)
